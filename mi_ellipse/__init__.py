@@ -1,0 +1,27 @@
+"""An exact elliptical light for Mitsuba 3, sampled by solid angle.
+
+Importing this package makes the shape `ellipse` and the emitter `ellipticalarea` known to every
+Mitsuba variant, whichever is set, before or after.
+"""
+
+import mitsuba as mi
+
+from . import emitter, llvm, shape
+
+__version__ = "0.1.0"
+
+_registered: set[str] = set()
+
+
+def _register(old: str | None, new: str | None) -> None:
+    """Register the plugins under the variant that has just been set, once."""
+    if new is None or new in _registered:
+        return
+    mi.register_shape("ellipse", shape.create)
+    mi.register_emitter("ellipticalarea", emitter.define())
+    _registered.add(new)
+
+
+llvm.install()
+mi.detail.add_variant_callback(_register)
+_register(None, mi.variant())

@@ -1,0 +1,169 @@
+"""The planar ellipse: centre, principal axes, area, local coordinates, point from direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+# Height of the reference above the light's plane, in units of the longer semi-axis, below which it
+# counts as this height. It keeps `1/z` finite for points in the plane and is far below what
+# single-precision coordinates resolve.
+PLANE_FLOOR = 1e-15
+
+
+@dataclass
+class Ellipse:
+    """An elliptical light in world space, prepared once per light.
+
+    The light is ``{centre + a·lx·ex + b·ly·ey : a² + b² ≤ 1}`` with ``lx ≥ ly``; it emits towards
+    ``normal = ex × ey``. Whatever cancels against the reference point is kept in double precision:
+    with a single-precision normal, the solid angle of a rotated light seen from its own plane is
+    off by factors of up to 20.
+    """
+
+    centre: mi.Point3d
+    normal: mi.Vector3d
+    ex: mi.Vector3d  # Direction of the longer principal axis
+    ey: mi.Vector3d  # Direction of the shorter principal axis
+    lx: mi.Float  # Length of the longer semi-axis
+    inv_lx: mi.Float64  # 1 / lx
+    ratio: mi.Float64  # ly / lx, in (0, 1]
+    eccentricity2: mi.Float  # 1 - ratio², without cancellation
+    parameter_cos: mi.Float  # First column of the rotation (or reflection) that takes principal
+    parameter_sin: mi.Float  # coordinates (a, b) to those of the unit disk before `to_world`
+    handedness: mi.Float  # +1 for that rotation, -1 for that reflection
+
+    @property
+    def ly(self) -> mi.Float:
+        """Length of the shorter semi-axis."""
+        return self.lx * self.ratio
+
+    @property
+    def area(self) -> mi.Float:
+        """Surface area."""
+        return dr.pi * self.lx * self.ly
+
+    def light_coordinates(self, reference: mi.Point3f) -> mi.Vector3d:
+        """Vector from a world-space point to the centre, along ``(ex, ey, normal)`` in units of lx.
+
+        Its third component is positive behind the light and negative on the emitting side; it is
+        never zero (`PLANE_FLOOR`).
+        """
+        offset = (self.centre - mi.Point3d(reference)) * self.inv_lx
+        height = dr.dot(offset, self.normal)
+        return mi.Vector3d(
+            dr.dot(offset, self.ex),
+            dr.dot(offset, self.ey),
+            dr.mulsign(dr.maximum(dr.abs(height), PLANE_FLOOR), height),
+        )
+
+    def to_light(self, v: mi.Vector3f) -> mi.Vector3f:
+        """Components of a world-space vector along ``(ex, ey, normal)``."""
+        return mi.Vector3f(
+            dr.dot(v, self.ex), dr.dot(v, self.ey), dr.dot(v, mi.Vector3f(self.normal))
+        )
+
+    def to_world(self, v: mi.Vector3f) -> mi.Vector3f:
+        """World-space vector from its components along ``(ex, ey, normal)``."""
+        return self.ex * v.x + self.ey * v.y + mi.Vector3f(self.normal) * v.z
+
+    def point_from_direction(
+        self, centre: mi.Vector3f, direction: mi.Vector3f
+    ) -> tuple[mi.Float, mi.Float, mi.Float]:
+        """Where a direction meets the ellipse.
+
+        Parameters
+        ----------
+        centre
+            What `light_coordinates` returned for the reference point.
+        direction
+            Unit direction along ``(ex, ey, normal)``.
+
+        Returns
+        -------
+        a, b
+            Principal coordinates, ``a² + b² ≤ 1`` up to the rounding of a plane intersection that
+            lies nearer than one semi-axis, and clamped to the ellipse beyond: at grazing angles a
+            quarter of the plain intersections of drawn directions miss the ellipse.
+        distance
+            Distance from the reference point in world units.
+        """
+        t = centre.z / direction.z
+        a = direction.x * t - centre.x
+        b = (direction.y * t - centre.y) / self.ratio
+        near = (t > 0) & (t < 1)
+
+        # A NaN or infinite coordinate ends at a bound, not in the result: fmin and fmax drop NaN.
+        a_clamped = dr.fmax(dr.fmin(a, 1), -1)
+        half_chord = dr.sqrt(dr.fma(-a_clamped, a_clamped, 1))
+        b_clamped = dr.fmax(dr.fmin(b, half_chord), -half_chord)
+        a = dr.select(near, a, a_clamped)
+        b = dr.select(near, b, b_clamped)
+        distance = dr.select(
+            near,
+            t,
+            dr.norm(mi.Vector3f(centre.x + a, dr.fma(b, self.ratio, centre.y), centre.z)),
+        )
+        return a, b, distance * self.lx
+
+    def point(self, a: mi.Float, b: mi.Float) -> mi.Point3f:
+        """World-space point with the principal coordinates ``(a, b)``."""
+        return mi.Point3f(self.centre) + self.ex * (a * self.lx) + self.ey * (b * self.ly)
+
+    def uv(self, a: mi.Float, b: mi.Float) -> mi.Point2f:
+        """The (radius, angle / 2π) parameterisation of Mitsuba's `disk` at ``(a, b)``."""
+        b = b * self.handedness
+        x = self.parameter_cos * a - self.parameter_sin * b
+        y = self.parameter_sin * a + self.parameter_cos * b
+        v = dr.atan2(y, x) * dr.inv_two_pi
+        return mi.Point2f(dr.sqrt(x * x + y * y), dr.select(v < 0, v + 1, v))
+
+
+def from_transform(to_world) -> Ellipse:
+    """Principal axes of the image of the unit disk under an affine map.
+
+    The singular vectors of the two image axes ``[U W]``, in double precision: the angle of the
+    major axis in the disk's own parameter, ``½ atan2(2 U·W, U·U - W·W)``, then the shorter length
+    from the area, which loses nothing on needles.
+
+    Parameters
+    ----------
+    to_world
+        A transform of any precision, or its 4×4 matrix: the unit disk of the object-space XY
+        plane is mapped to the light. The side towards the image of +Z emits, as for Mitsuba's
+        `disk`, also under mirrors.
+    """
+    matrix = mi.Matrix4d(getattr(to_world, "matrix", to_world))
+    u, w, centre = (
+        mi.Vector3d(matrix[0, k], matrix[1, k], matrix[2, k]) for k in (0, 1, 3)
+    )
+    image_z = mi.Vector3d(matrix[0, 2], matrix[1, 2], matrix[2, 2])
+
+    uu, ww, uw = dr.dot(u, u), dr.dot(w, w), dr.dot(u, w)
+    sin_t, cos_t = dr.sincos(0.5 * dr.atan2(2 * uw, uu - ww))
+    major = u * cos_t + w * sin_t
+    lx = dr.norm(major)
+    ex = major / lx
+
+    cross = dr.cross(u, w)
+    area_over_pi = dr.norm(cross)
+    ratio = dr.minimum(area_over_pi / (lx * lx), 1)
+    handedness = dr.mulsign(mi.Float64(1), dr.dot(cross, image_z))
+    normal = cross * (handedness / area_over_pi)
+    ey = dr.cross(normal, ex)
+
+    return Ellipse(
+        centre=mi.Point3d(centre),
+        normal=normal,
+        ex=ex,
+        ey=ey,
+        lx=mi.Float(lx),
+        inv_lx=dr.rcp(lx),
+        ratio=ratio,
+        eccentricity2=mi.Float((1 - ratio) * (1 + ratio)),
+        parameter_cos=mi.Float(cos_t),
+        parameter_sin=mi.Float(sin_t),
+        handedness=mi.Float(handedness),
+    )

@@ -1,0 +1,220 @@
+"""Plugin `ellipticalarea`: Mitsuba's emitter interface for elliptical lights."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+import drjit as dr
+import mitsuba as mi
+
+from . import ellipse, llvm
+from .sampling import DEFAULT, STRATEGIES
+
+_sampling_override: ContextVar[str | None] = ContextVar("sampling_override", default=None)
+
+
+@contextmanager
+def override_sampling(name: str | None) -> Iterator[None]:
+    """Build every `ellipticalarea` with one strategy, whatever the scene asks for.
+
+    Parameters
+    ----------
+    name
+        A key of `mi_ellipse.sampling.STRATEGIES`, or None for no override.
+
+    Raises
+    ------
+    ValueError
+        If no strategy has that name.
+    """
+    if name is not None:
+        _check_strategy(name)
+    token = _sampling_override.set(name)
+    try:
+        yield
+    finally:
+        _sampling_override.reset(token)
+
+
+def _check_strategy(name: str) -> None:
+    if name not in STRATEGIES:
+        known = ", ".join(STRATEGIES)
+        raise ValueError(f'ellipticalarea: sampling="{name}" is unknown; choose one of {known}')
+
+
+def define() -> type:
+    """Class of the plugin under the current variant: `mi.Emitter` is another base in each."""
+
+    class EllipticalArea(mi.Emitter):
+        """Uniform or textured emission of one side of an ellipse, sampled by direction.
+
+        Goes into a shape `ellipse` or `disk`. Gradients reach the radiance and, through the shape,
+        its transform; directions and their densities are detached.
+
+        Parameters
+        ----------
+        radiance : spectrum or texture
+            Emitted radiance. Default 1.
+        sampling : str
+            A key of `mi_ellipse.sampling.STRATEGIES`. Default ``solid_angle``.
+        """
+
+        def __init__(self, props: mi.Properties):
+            super().__init__(props)
+            llvm.check()
+            if props.has_property("to_world"):
+                raise ValueError(
+                    "ellipticalarea: to_world is not allowed; the light inherits the transform of "
+                    "its shape, put it there"
+                )
+            self.radiance = props.get_emissive_texture("radiance", 1.0)
+            name = props.get("sampling", DEFAULT)
+            _check_strategy(name)
+            self.sampling = _sampling_override.get() or name
+            self.strategy = STRATEGIES[self.sampling]()
+            self.ellipse = None
+            self._update_flags()
+
+        # ---- Parameters ------------------------------------------------------------------------
+
+        def traverse(self, cb: mi.TraversalCallback) -> None:
+            super().traverse(cb)
+            cb.put("radiance", self.radiance, mi.ParamFlags.Differentiable)
+
+        def parameters_changed(self, keys: list[str]) -> None:
+            super().parameters_changed(keys)
+            if not keys or "parent" in keys:
+                self.attach()
+            self._update_flags()
+
+        def _update_flags(self) -> None:
+            self.m_flags = mi.EmitterFlags.Surface
+            if self.radiance.is_spatially_varying():
+                self.m_flags |= mi.EmitterFlags.SpatiallyVarying
+
+        def attach(self) -> None:
+            """Take the geometry from the shape, as values that do not keep it alive."""
+            shape = self.get_shape()
+            if shape is None or shape.class_name() != "Disk":
+                name = "no shape" if shape is None else f"a {shape.class_name()}"
+                raise ValueError(
+                    f"ellipticalarea: the light is attached to {name}; put it into a shape of "
+                    'type "ellipse" or "disk"'
+                )
+            self.ellipse = ellipse.from_transform(dr.detach(mi.traverse(shape)["to_world"]))
+            dr.make_opaque(self.ellipse)
+
+        def _attached(self) -> ellipse.Ellipse:
+            # A plain disk gives no earlier opportunity: it does not announce itself.
+            if self.ellipse is None:
+                self.attach()
+            return self.ellipse
+
+        # ---- Directions ------------------------------------------------------------------------
+
+        def sample_direction(self, it, sample, active=True):
+            light = self._attached()
+            with dr.suspend_grad():
+                ds, valid = self._sample(light, it, sample)
+            valid &= active
+            ds.emitter = mi.EmitterPtr(self) if dr.is_jit_v(mi.Float) else self
+
+            si = mi.SurfaceInteraction3f(ds, it.wavelengths)
+            radiance = self.radiance.eval(si, valid) / ds.pdf
+            return ds, mi.depolarizer(dr.select(valid, radiance, 0))
+
+        def _sample(self, light, it, sample):
+            record = self.strategy.prepare(light, it.p, it.n)
+            d, pdf, valid = self.strategy.sample(record, sample)
+            centre = light.light_coordinates(it.p)
+            valid &= (centre.z < 0) & (pdf > 0) & dr.isfinite(pdf)
+            a, b, dist = light.point_from_direction(mi.Vector3f(centre), d)
+
+            ds = mi.DirectionSample3f()
+            ds.p = light.point(a, b)
+            ds.n = mi.Normal3f(light.normal)
+            ds.uv = light.uv(a, b)
+            ds.time = it.time
+            ds.delta = False
+            ds.d = light.to_world(d)
+            ds.dist = dist
+            ds.pdf = pdf
+            return ds, valid
+
+        def pdf_direction(self, it, ds, active=True):
+            light = self._attached()
+            with dr.suspend_grad():
+                record = self.strategy.prepare(light, it.p, it.n)
+                pdf = self.strategy.pdf(record, light.to_light(ds.d))
+                lit = active & (dr.dot(ds.d, ds.n) < 0) & dr.isfinite(pdf)
+                return dr.select(lit, pdf, 0)
+
+        def eval_direction(self, it, ds, active=True):
+            lit = active & (dr.dot(ds.d, ds.n) < 0)
+            si = mi.SurfaceInteraction3f(ds, it.wavelengths)
+            return mi.depolarizer(dr.select(lit, self.radiance.eval(si, lit), 0))
+
+        # ---- Positions, rays and wavelengths ---------------------------------------------------
+
+        def eval(self, si, active=True):
+            lit = active & (mi.Frame3f.cos_theta(si.wi) > 0)
+            return mi.depolarizer(dr.select(lit, self.radiance.eval(si, lit), 0))
+
+        def sample_position(self, time, sample, active=True):
+            shape = self.get_shape()
+            if self.radiance.is_spatially_varying():
+                uv, pdf = self.radiance.sample_position(sample, active)
+                si = shape.eval_parameterization(uv, mi.RayFlags.All, active & (pdf > 0))
+                ps = mi.PositionSample3f(si)
+                ps.pdf = dr.select(
+                    si.is_valid(), pdf / dr.norm(dr.cross(si.dp_du, si.dp_dv)), 0
+                )
+                ps.delta = False
+            else:
+                ps = shape.sample_position(time, sample, active)
+            weight = dr.select(active & (ps.pdf > 0), dr.rcp(ps.pdf), 0)
+            return ps, weight
+
+        def pdf_position(self, ps, active=True):
+            shape = self.get_shape()
+            if not self.radiance.is_spatially_varying():
+                return shape.pdf_position(ps, active)
+            si = shape.eval_parameterization(ps.uv, mi.RayFlags.All, active)
+            pdf = self.radiance.pdf_position(ps.uv, active)
+            return dr.select(si.is_valid(), pdf / dr.norm(dr.cross(si.dp_du, si.dp_dv)), 0)
+
+        def sample_ray(self, time, sample1, sample2, sample3, active=True):
+            ps, weight = self.sample_position(time, sample2, active)
+            local = mi.warp.square_to_cosine_hemisphere(sample3)
+            si = mi.SurfaceInteraction3f(ps, dr.zeros(mi.Color0f))
+            wavelengths, wavelength_weight = self.sample_wavelengths(si, sample1, active)
+            si.time = time
+            si.wavelengths = wavelengths
+            # π is what remains of the cosine over its density
+            weight = mi.depolarizer(wavelength_weight * (weight * dr.pi))
+            return si.spawn_ray(si.to_world(local)), weight
+
+        def sample_wavelengths(self, si, sample, active=True):
+            return self.radiance.sample_spectrum(si, mi.sample_shifted(sample), active)
+
+        def pdf_wavelengths(self, wavelengths, active=True):
+            si = dr.zeros(mi.SurfaceInteraction3f)
+            si.wavelengths = wavelengths
+            return self.radiance.pdf_spectrum(si, active)
+
+        # ---- Other -----------------------------------------------------------------------------
+
+        def bbox(self):
+            return self.get_shape().bbox()
+
+        def to_string(self) -> str:
+            return (
+                "EllipticalArea[\n"
+                f"  sampling = {self.sampling},\n"
+                f"  radiance = {str(self.radiance).replace(chr(10), chr(10) + '  ')}\n"
+                "]"
+            )
+
+    return EllipticalArea

@@ -1,0 +1,21 @@
+"""Sampling strategies: how two random numbers become a direction towards the light.
+
+A strategy is a class with three methods::
+
+    prepare(ellipse, reference, normal) -> record
+    sample(record, u) -> (direction, pdf, valid)
+    pdf(record, direction) -> pdf
+
+Directions are given along the light's ``(ex, ey, normal)``. `prepare` sees the reference point and
+its normal (zero in media) and never the random numbers. `pdf` is exactly the density per solid
+angle that `sample` draws from; it does not test whether the direction meets the light, and in
+single precision it must not: the ray decides what is hit. A draw that is not `valid` carries its
+density and no light.
+"""
+
+from .solid_angle import SolidAngle
+
+STRATEGIES = {
+    "solid_angle": SolidAngle,
+}
+DEFAULT = "solid_angle"

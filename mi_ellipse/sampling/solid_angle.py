@@ -1,0 +1,137 @@
+"""Strategy `solid_angle`: directions almost uniform in solid angle, in closed form."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+
+from .. import cone
+from ..cone import Cone
+from ..ellipse import Ellipse
+
+
+class Record(NamedTuple):
+    """What is computed once per reference point."""
+
+    cone: Cone
+    a1: mi.Float  # sin(α/2), half the larger half-angle
+    b1: mi.Float  # sin(β/2), half the smaller half-angle
+    ka: mi.Float  # cos² of the same angles, times the stretch of the tangent plane: a1 = ta √ka
+    kb: mi.Float
+    kappa: mi.Float  # Strength of the angular warp, 1 for circles
+    rho: mi.Float  # Where along the quadrant the warp acts
+
+
+def _half_angle_factor(t: mi.Float) -> mi.Float:
+    """``(sin(θ/2) / tan θ)²`` for ``t = tan θ``."""
+    q = dr.fma(t, t, 1)
+    return 0.5 / (q + dr.sqrt(q))
+
+
+def _angular_warp(ta, tb, ka, kb) -> tuple[mi.Float, mi.Float]:
+    """Parameters κ, ρ of the warp that makes the density stationary at a third point.
+
+    The plain half-angle map has the right density at both ends of the quadrant up to a common
+    factor; κ matches the point ``x = cos² t`` between them, and ρ places that point.
+    """
+    b0, b1 = ka * dr.fma(ta, ta, 1), kb * dr.fma(tb, tb, 1)
+    da, db = kb - ka, b1 - b0
+    r = dr.square(dr.sqrt(1 - da / db) - 1)
+    x = (r * b0 - ka) / (da - r * db)
+    # 0/0 for circles; for small lights rounding noise, where the warp is the identity anyway.
+    x = dr.select(dr.isfinite(x) & (ta > 0.25), dr.clip(x, 0.2, 0.8), 0.5)
+    length = dr.fma(db, x, b0)
+    h = length + dr.sqrt(dr.fma(da, x, ka) * length)
+    return dr.rsqrt(2 * h), dr.sqrt(x / (1 - x))
+
+
+def _density(record: Record, c: mi.Float, s: mi.Float) -> tuple[mi.Float, mi.Float]:
+    """Density of the map at an azimuth, and the extent of the cone there.
+
+    Parameters
+    ----------
+    c, s
+        Cosine and sine, up to a common factor, of the eccentric angle ``t`` of the azimuth.
+
+    Returns
+    -------
+    pdf
+        Density per solid angle; it is constant along the radius.
+    extent
+        ``1 - cos θmax``, θmax the angle between axis and rim at this azimuth.
+    """
+    c2, s2 = c * c, s * s
+    stretch = dr.fma(record.ka, c2, record.kb * s2)
+    r2 = dr.fma(dr.square(record.a1), c2, dr.square(record.b1) * s2) / stretch
+    q = 1 + r2
+    f = q + dr.sqrt(q)
+
+    # Derivative of the inverse warp. Its factor c² + s² cancels against the one of `stretch`.
+    kappa, rho = record.kappa, record.rho
+    c2 = dr.square(rho) * c2
+    n = c2 + s2
+    cos2, sin2 = kappa * (c2 - s2), 2 * rho * c * s
+    inv_norm2 = dr.rcp(dr.fma(cos2, cos2, sin2 * sin2))
+    cos2 = cos2 * dr.sqrt(inv_norm2)
+    shift = 0.5 * ((1 + cos2) + dr.square(rho) * (1 - cos2))
+    pdf = (
+        dr.square(rho) * kappa * dr.inv_two_pi / (record.a1 * record.b1)
+        * stretch * f * n * inv_norm2 / shift
+    )
+    return pdf, r2 / f
+
+
+class SolidAngle:
+    """Directions almost uniform in solid angle over the whole light.
+
+    The azimuth runs with the eccentric angle of an ellipse whose semi-axes are the sines of the
+    half half-angles, corrected by one closed-form warp; along the radius ``1 - cos θ`` is uniform,
+    so the density depends on the azimuth alone. It is within ±0.007 % of uniform for half-angles up
+    to 45°, ±0.1 % up to 63° and -1.7 %…+4.6 % always. No elliptic integral, no inversion.
+    """
+
+    def prepare(self, ellipse: Ellipse, reference: mi.Point3f, normal: mi.Normal3f) -> Record:
+        """Cone and warp of a reference point; its normal is not used."""
+        seen = cone.from_point(ellipse, reference)
+        ka, kb = _half_angle_factor(seen.ta), _half_angle_factor(seen.tb)
+        kappa, rho = _angular_warp(seen.ta, seen.tb, ka, kb)
+        return Record(
+            cone=seen,
+            a1=seen.ta * dr.sqrt(ka),
+            b1=seen.tb * dr.sqrt(kb),
+            ka=ka,
+            kb=kb,
+            kappa=kappa,
+            rho=rho,
+        )
+
+    def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
+        """Direction along the light's ``(ex, ey, normal)``, its density, and validity."""
+        kappa, rho = record.kappa, record.rho
+        s, c = dr.sincos(dr.two_pi * u.x)
+
+        # Stretch, multiply the tangent of the double angle by κ, stretch back.
+        cw = rho * c
+        cos2, sin2 = dr.fma(cw, cw, -s * s), 2 * kappa * cw * s
+        w = dr.sqrt(dr.fma(cos2, cos2, sin2 * sin2)) + dr.abs(cos2)
+        upright = cos2 >= 0
+        sign = dr.sign(dr.select(upright, c, s))
+        c = sign * dr.select(upright, w, sin2)
+        s = sign * rho * dr.select(upright, sin2, w)
+
+        pdf, extent = _density(record, c, s)
+        x, y = record.a1 * c, record.b1 * s
+        h = extent * u.y  # 1 - cos θ
+        r = dr.sqrt(h * (2 - h)) * dr.rsqrt(dr.fma(x, x, y * y))
+        return record.cone.from_local(mi.Vector3f(x * r, y * r, 1 - h)), pdf, mi.Mask(True)
+
+    def pdf(self, record: Record, direction: mi.Vector3f) -> mi.Float:
+        """Density of a direction that meets the light."""
+        d = record.cone.to_local(direction)
+        c, s = d.x / record.a1, d.y / record.b1
+        largest = dr.maximum(dr.abs(c), dr.abs(s))
+        axial = largest == 0
+        c, s = dr.select(axial, 1, c / largest), dr.select(axial, 0, s / largest)
+        return _density(record, c, s)[0]
