@@ -13,9 +13,19 @@ single precision it must not: the ray decides what is hit. A draw that is not `v
 density and no light.
 """
 
+from .area import Area
+from .concentric import Concentric
+from .projected_solid_angle import ProjectedSolidAngle
+from .rejection import Rejection
 from .solid_angle import SolidAngle
+from .tangent_disk import TangentDisk
 
 STRATEGIES = {
+    "area": Area,
+    "rejection": Rejection,
     "solid_angle": SolidAngle,
+    "projected_solid_angle": ProjectedSolidAngle,
+    "tangent_disk": TangentDisk,
+    "concentric": Concentric,
 }
 DEFAULT = "solid_angle"

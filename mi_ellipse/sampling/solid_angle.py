@@ -47,40 +47,65 @@ def _angular_warp(ta, tb, ka, kb) -> tuple[mi.Float, mi.Float]:
     return dr.rsqrt(2 * h), dr.sqrt(x / (1 - x))
 
 
-def _density(record: Record, c: mi.Float, s: mi.Float) -> tuple[mi.Float, mi.Float]:
-    """Density of the map at an azimuth, and the extent of the cone there.
+def rim(record: Record, c: mi.Float, s: mi.Float) -> tuple[mi.Float, mi.Float]:
+    """The rim of the cone at an azimuth.
 
     Parameters
     ----------
     c, s
-        Cosine and sine, up to a common factor, of the eccentric angle ``t`` of the azimuth.
+        Cosine and sine of the eccentric angle ``t`` of the azimuth.
 
     Returns
     -------
-    pdf
-        Density per solid angle; it is constant along the radius.
+    density
+        ``a1 b1 dt`` per solid angle.
     extent
-        ``1 - cos θmax``, θmax the angle between axis and rim at this azimuth.
+        ``1 - cos θmax``, θmax the angle between axis and rim.
     """
     c2, s2 = c * c, s * s
     stretch = dr.fma(record.ka, c2, record.kb * s2)
     r2 = dr.fma(dr.square(record.a1), c2, dr.square(record.b1) * s2) / stretch
     q = 1 + r2
     f = q + dr.sqrt(q)
+    return stretch * f, r2 / f
 
-    # Derivative of the inverse warp. Its factor c² + s² cancels against the one of `stretch`.
-    kappa, rho = record.kappa, record.rho
-    c2 = dr.square(rho) * c2
-    n = c2 + s2
-    cos2, sin2 = kappa * (c2 - s2), 2 * rho * c * s
+
+def _density(record: Record, c: mi.Float, s: mi.Float) -> tuple[mi.Float, mi.Float]:
+    """Density per solid angle at an azimuth, constant along the radius, and the rim's extent.
+
+    `c` and `s` may have a common factor: the c² + s² of `rim` cancels against that of the
+    derivative of the inverse warp.
+    """
+    density, extent = rim(record, c, s)
+    kappa, rho2 = record.kappa, dr.square(record.rho)
+    c2, s2 = rho2 * c * c, s * s
+    cos2, sin2 = kappa * (c2 - s2), 2 * record.rho * c * s
     inv_norm2 = dr.rcp(dr.fma(cos2, cos2, sin2 * sin2))
     cos2 = cos2 * dr.sqrt(inv_norm2)
-    shift = 0.5 * ((1 + cos2) + dr.square(rho) * (1 - cos2))
-    pdf = (
-        dr.square(rho) * kappa * dr.inv_two_pi / (record.a1 * record.b1)
-        * stretch * f * n * inv_norm2 / shift
-    )
-    return pdf, r2 / f
+    shift = 0.5 * ((1 + cos2) + rho2 * (1 - cos2))
+    scale = rho2 * kappa * dr.inv_two_pi / (record.a1 * record.b1)
+    return scale * density * (c2 + s2) * inv_norm2 / shift, extent
+
+
+def warp(record: Record, c: mi.Float, s: mi.Float) -> tuple[mi.Float, mi.Float]:
+    """Eccentric angle of the azimuth from the uniform angle, each as (cosine, sine).
+
+    Stretches the tangent by ρ, multiplies the tangent of the double angle by κ and stretches back;
+    the result has a common factor.
+    """
+    c = record.rho * c
+    cos2, sin2 = dr.fma(c, c, -s * s), 2 * record.kappa * c * s
+    w = dr.sqrt(dr.fma(cos2, cos2, sin2 * sin2)) + dr.abs(cos2)
+    upright = cos2 >= 0
+    sign = dr.sign(dr.select(upright, c, s))
+    return sign * dr.select(upright, w, sin2), sign * record.rho * dr.select(upright, sin2, w)
+
+
+def direction(record: Record, c: mi.Float, s: mi.Float, height: mi.Float) -> mi.Vector3f:
+    """Direction in the cone's frame, ``1 - cos θ`` being `height` there."""
+    x, y = record.a1 * c, record.b1 * s
+    r = dr.sqrt(height * (2 - height)) * dr.rsqrt(dr.fma(x, x, y * y))
+    return mi.Vector3f(x * r, y * r, 1 - height)
 
 
 class SolidAngle:
@@ -109,23 +134,11 @@ class SolidAngle:
 
     def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
         """Direction along the light's ``(ex, ey, normal)``, its density, and validity."""
-        kappa, rho = record.kappa, record.rho
         s, c = dr.sincos(dr.two_pi * u.x)
-
-        # Stretch, multiply the tangent of the double angle by κ, stretch back.
-        cw = rho * c
-        cos2, sin2 = dr.fma(cw, cw, -s * s), 2 * kappa * cw * s
-        w = dr.sqrt(dr.fma(cos2, cos2, sin2 * sin2)) + dr.abs(cos2)
-        upright = cos2 >= 0
-        sign = dr.sign(dr.select(upright, c, s))
-        c = sign * dr.select(upright, w, sin2)
-        s = sign * rho * dr.select(upright, sin2, w)
-
+        c, s = warp(record, c, s)
         pdf, extent = _density(record, c, s)
-        x, y = record.a1 * c, record.b1 * s
-        h = extent * u.y  # 1 - cos θ
-        r = dr.sqrt(h * (2 - h)) * dr.rsqrt(dr.fma(x, x, y * y))
-        return record.cone.from_local(mi.Vector3f(x * r, y * r, 1 - h)), pdf, mi.Mask(True)
+        d = direction(record, c, s, extent * u.y)
+        return record.cone.from_local(d), pdf, mi.Mask(True)
 
     def pdf(self, record: Record, direction: mi.Vector3f) -> mi.Float:
         """Density of a direction that meets the light."""

@@ -1,0 +1,73 @@
+"""Strategy `tangent_disk`: the published elliptical-light map, with its true density."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+
+from .. import cone
+from ..cone import Cone
+from ..ellipse import Ellipse
+
+# Least cosine of the cap's half-angle: single precision resolves no smaller one for a solid angle
+# near 2π. A slightly smaller cap changes what is drawn and the density alike.
+MINIMUM_COSINE = 1e-6
+
+
+class Record(NamedTuple):
+    """What is computed once per reference point."""
+
+    cone: Cone
+    height: mi.Float  # 1 - cos of the half-angle of the cap
+    radius: mi.Float  # Tangent of that half-angle
+
+
+def _density(record: Record, rho2: mi.Float, cos_theta: mi.Float) -> mi.Float:
+    """Density per solid angle.
+
+    Uniform on the cap, times the change of solid angle under the scaling of the tangent plane:
+    ``(r²/(ta tb)) ((1 + x² + y²)/(1 + ρ²))^(3/2)``, ρ the radius before the scaling and
+    ``cos θ = (1 + x² + y²)^(-1/2)`` after it.
+    """
+    stretch = dr.rcp(dr.abs(cos_theta) * dr.sqrt(1 + rho2))
+    # Every factor stays within the range of single precision in this order.
+    scale = (record.radius / record.cone.ta * stretch) * (record.radius / record.cone.tb * stretch)
+    return dr.inv_two_pi / record.height * scale * stretch
+
+
+class TangentDisk:
+    """Directions uniform on a cap of the light's solid angle, scaled to the tangent ellipse.
+
+    Guillén, Ureña, King, Fajardo, Georgiev, López-Moreno and Jarabo, *Area-Preserving
+    Parameterizations for Spherical Ellipses* (EGSR 2017), quote it as the practice. Scaling the
+    tangent plane does not preserve solid angle, so the density is not ``1/Ω``, as was published:
+    with that, the irradiance of a light with half-angle tangents 2 and 0.5 comes out 7.5 % too
+    low. With the true density it is unbiased, and its weights are unbounded on needles.
+    """
+
+    def prepare(self, ellipse: Ellipse, reference: mi.Point3f, normal: mi.Normal3f) -> Record:
+        """Cap of a reference point; its normal is not used."""
+        seen = cone.from_point(ellipse, reference)
+        cosine = dr.maximum(1 - cone.solid_angle(seen) * dr.inv_two_pi, MINIMUM_COSINE)
+        height = dr.minimum(cone.solid_angle(seen) * dr.inv_two_pi, 1 - MINIMUM_COSINE)
+        return Record(seen, height, dr.sqrt(height * (2 - height)) / cosine)
+
+    def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
+        """Direction along the light's ``(ex, ey, normal)``, its density, and validity."""
+        h = record.height * u.y
+        rho = dr.sqrt(h * (2 - h)) / (1 - h)
+        s, c = dr.sincos(dr.two_pi * u.x)
+        scaled = rho / record.radius
+        d = dr.normalize(
+            mi.Vector3f(record.cone.ta * scaled * c, record.cone.tb * scaled * s, 1)
+        )
+        return record.cone.from_local(d), _density(record, rho * rho, d.z), mi.Mask(True)
+
+    def pdf(self, record: Record, direction: mi.Vector3f) -> mi.Float:
+        """Density of a direction that meets the light."""
+        d = record.cone.to_local(direction)
+        x = d.x / d.z / record.cone.ta * record.radius
+        y = d.y / d.z / record.cone.tb * record.radius
+        return _density(record, dr.fma(x, x, y * y), d.z)
