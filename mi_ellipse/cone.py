@@ -12,7 +12,9 @@ from .ellipse import Ellipse
 # Smallest normal single-precision number: a floor for denominators whose numerators vanish too.
 TINY = 1.1754944e-38
 
-# Steps of the confocal root after its starting value (see `confocal_root`).
+# Steps of the confocal root after its starting value. Largest relative error over 300 000 lights,
+# most of them needles seen from close to their plane and rim: 2 steps 7e-2, 3 steps 3e-4, 4 steps
+# 7e-7, 5 steps no better.
 ROOT_STEPS = 4
 
 # Steps of Bulirsch's complete elliptic integral (see `solid_angle`).
@@ -43,8 +45,8 @@ class Cone(NamedTuple):
 
 def _positive_root(b: mi.Float, p: mi.Float) -> mi.Float:
     """Positive root of ``x² - b x - p = 0`` for ``p ≥ 0``."""
-    r = dr.sqrt(dr.fma(b, b, 4 * p))
-    return dr.select(b > 0, 0.5 * (b + r), 2 * p / dr.maximum(r + dr.abs(b), TINY))
+    q = 0.5 * (dr.abs(b) + dr.sqrt(dr.fma(b, b, 4 * p)))
+    return dr.select(b > 0, q, p / dr.maximum(q, TINY))
 
 
 def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
@@ -64,21 +66,21 @@ def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
 
     root = _positive_root(x2 + y2 + z2 - e2, z2 * e2)  # An upper bound
     for _ in range(ROOT_STEPS):
-        # Merge y's pole with z's where λ is beyond it, otherwise with x's.
+        # Merge y's pole with z's, at 0, where λ is beyond it, otherwise with x's, at 1. The sum of
+        # the two is v = n / q, its derivative -m / q².
         far = root > e2
         pole = dr.select(far, 0.0, 1.0)
-        i1, i2 = dr.rcp(e2 + root), dr.rcp(pole + root)
-        v1, v2 = y2 * i1, dr.select(far, z2, x2) * i2
-        w1, w2 = v1 * i1, v2 * i2
-        v, dv = v1 + v2, dr.maximum(w1 + w2, TINY)
-        d = dr.fma(e2, w1, pole * w2) / dv  # The merged pole
-        w = v * (v / dv)  # and its weight; in this order: v² underflows
-        excess = dr.fma(root, linear - root, in_plane) * i1 * i2
-        b = dr.select(
-            far,
-            outside_x + dr.fma(v, d + root, d),
-            dr.fma(excess, d + root, root + z2),
-        )
+        weight = dr.select(far, z2, x2)
+        inv_p, q = dr.rcp(e2 + root), pole + root
+        t = q * inv_p
+        n1 = y2 * t
+        n, m = n1 + weight, dr.fma(n1, t, weight)
+        scale = dr.rcp(dr.maximum(m, TINY))
+        ratio = n * scale
+        d = dr.fma(e2 * n1, t, pole * weight) * scale  # The merged pole
+        w = n * ratio  # and its weight; in this order: n² underflows
+        excess = dr.fma(root, linear - root, in_plane) * inv_p * ratio  # (v - 1) (d + λ)
+        b = dr.select(far, outside_x + w + d, excess + root + z2)
         root = _positive_root(b, dr.select(far, w * (1 - d), z2 * d))
         root = dr.maximum(root - dr.select(far, d, 0.0), z2)
     return root
@@ -97,43 +99,32 @@ def from_point(ellipse: Ellipse, reference: mi.Point3f) -> Cone:
     xc, yc, zc = mi.Float(centre.x), mi.Float(centre.y), mi.Float(centre.z)
     ratio = mi.Float(ratio)
     e2, y2, z2 = ratio * ratio, yc * yc, zc * zc
-    inv_root = dr.rcp(root)
-    inv_e2_root = dr.rcp(e2 + root)
+    both = dr.rcp(root * (e2 + root))
+    inv_root, inv_e2_root = both * (e2 + root), both * root
 
-    # The two positive eigenvalues as μ1 and their distances m1 = μ1 - e², m2 = e² - μ2
+    # The two positive eigenvalues as μ1 and m2 = e² - μ2
     yy = y2 * eccentricity2 * inv_e2_root
-    shared = yy * e2
+    product = yy * e2  # of e² - μ2 and μ1 - e²
     t = dr.fma(z2, inv_root, yy)
     sigma = t - e2
-    disc = dr.sqrt(dr.fma(sigma, sigma, 4 * shared))
+    disc = dr.sqrt(dr.fma(sigma, sigma, 4 * product))
     mu1 = 0.5 * (t + e2 + disc)
     large = 0.5 * (dr.abs(sigma) + disc)
-    small = shared / dr.maximum(large, TINY)
-    flat = sigma > 0
-    m1 = dr.select(flat, large, small)
-    m2 = dr.select(flat, small, large)
+    m2 = dr.select(sigma > 0, product / dr.maximum(large, TINY), large)
 
     ta = dr.sqrt(mu1 * inv_root)
     # μ1 μ2 μ3 = det² gives the smaller eigenvalue its full precision
-    tb = dr.minimum(ta, dr.abs(zc) * ratio * inv_root * dr.rsqrt(mu1))
+    tb = dr.minimum(ta, dr.abs(zc) * ratio * inv_root / dr.sqrt(mu1))
 
     z = dr.normalize(mi.Vector3f(xc / (1 + root), yc * inv_e2_root, zc * inv_root))
 
-    # Minor axis. Circles near the axis give 0/0 components, which are zero in the limit.
-    s = dr.sqrt(m2)
+    # Minor axis; it vanishes for a circle seen on its axis, where every direction will do.
+    height = zc * e2
     y = mi.Vector3f(
-        xc * s / (eccentricity2 + m2),
-        dr.select(
-            flat,
-            dr.mulsign(dr.sqrt(m1 * (e2 + root) / (e2 * eccentricity2)), yc),
-            yc / s,
-        ),
-        -s * root * mu1 / (zc * e2),
+        xc * height * (m2 / dr.maximum(eccentricity2 + m2, TINY)), yc * height, -m2 * root * mu1
     )
-    y = dr.select(dr.isfinite(y), y, 0)
     largest = dr.max(dr.abs(y))
-    y = dr.select(largest > 0, y / largest, mi.Vector3f(0, 1, 0))
-    y = dr.normalize(y)
+    y = dr.select(largest > 0, y * dr.rcp(largest), mi.Vector3f(0, 1, 0))
     y = dr.normalize(y - z * dr.dot(y, z))
     return Cone(x=dr.cross(y, z), y=y, z=z, ta=ta, tb=tb)
 

@@ -102,11 +102,12 @@ def _slice(record, eta: mi.Float) -> tuple[mi.Float, mi.Float, mi.Float]:
     )
     half = record.height * i * dr.sqrt(dr.maximum(inside, 0)) / record.eta_max
 
-    a, b = record.scale * (centre - half), record.scale * (centre + half)
+    mid, half = record.scale * centre, record.scale * half
+    a, b = mid - half, mid + half
     ra, rb = dr.sqrt(dr.fma(a, a, 1)), dr.sqrt(dr.fma(b, b, 1))
     sa, sb = a / ra, b / rb
     same_side = a * b > 0
-    stable = (b - a) * (b + a) / (dr.fma(b, ra, a * rb) * ra * rb)
+    stable = 4 * mid * half / (dr.fma(b, ra, a * rb) * ra * rb)
     return sa, dr.select(same_side, stable, sb - sa), centre
 
 
@@ -184,6 +185,9 @@ def _draw_slice(slices: Slices, u: mi.Float) -> mi.Float:
 
 def _density(record: Record, eta: mi.Float, tangent: mi.Float) -> mi.Float:
     """Density per solid angle at the slice η and the latitude with this tangent."""
+    # Rounding takes directions out of cones that are thinner than the spacing of directions.
+    limit = (1 - 3e-7) * record.eta_max
+    eta = dr.clip(eta, -limit, limit)
     _, length, _ = _slice(record, eta)
     is_minor = record.straddling & (eta < record.eta_horizon)
     major, minor = _slice_density(record.major, eta), _slice_density(record.minor, eta)
