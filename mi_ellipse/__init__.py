@@ -1,12 +1,17 @@
 """An exact elliptical light for Mitsuba 3, sampled by solid angle.
 
 Importing this package makes the shape `ellipse` and the emitter `ellipticalarea` known to every
-Mitsuba variant, whichever is set, before or after.
+Mitsuba variant, whichever is set, before or after. Import it before `mitsuba`: Dr.Jit looks for its
+LLVM library when it is imported.
 """
 
-import mitsuba as mi
+from . import llvm
 
-from . import emitter, llvm, shape
+llvm.install()
+
+import mitsuba as mi  # noqa: E402
+
+from . import emitter, shape  # noqa: E402
 
 __version__ = "0.1.0"
 
@@ -22,6 +27,5 @@ def _register(old: str | None, new: str | None) -> None:
     _registered.add(new)
 
 
-llvm.install()
 mi.detail.add_variant_callback(_register)
 _register(None, mi.variant())
