@@ -70,12 +70,13 @@ def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
         # the two is v = n / q, its derivative -m / q².
         far = root > e2
         pole = dr.select(far, 0.0, 1.0)
-        weight = dr.select(far, z2, x2)
+        # On the axis both weights vanish; the floor keeps their common pole.
+        weight = dr.maximum(dr.select(far, z2, x2), TINY)
         inv_p, q = dr.rcp(e2 + root), pole + root
         t = q * inv_p
         n1 = y2 * t
         n, m = n1 + weight, dr.fma(n1, t, weight)
-        scale = dr.rcp(dr.maximum(m, TINY))
+        scale = dr.rcp(m)
         ratio = n * scale
         d = dr.fma(e2 * n1, t, pole * weight) * scale  # The merged pole
         w = n * ratio  # and its weight; in this order: n² underflows
@@ -123,9 +124,10 @@ def from_point(ellipse: Ellipse, reference: mi.Point3f) -> Cone:
     y = mi.Vector3f(
         xc * height * (m2 / dr.maximum(eccentricity2 + m2, TINY)), yc * height, -m2 * root * mu1
     )
-    largest = dr.max(dr.abs(y))
-    y = dr.select(largest > 0, y * dr.rcp(largest), mi.Vector3f(0, 1, 0))
-    y = dr.normalize(y - z * dr.dot(y, z))
+    y = y / dr.maximum(dr.max(dr.abs(y)), TINY)
+    y = y - z * dr.dot(y, z)
+    # Only rounding is left of it there, or what is along z.
+    y = dr.normalize(dr.select(dr.squared_norm(y) > 0.25, y, mi.Vector3f(0, z.z, -z.y)))
     return Cone(x=dr.cross(y, z), y=y, z=z, ta=ta, tb=tb)
 
 

@@ -120,6 +120,14 @@ class Ellipse:
         v = dr.atan2(y, x) * dr.inv_two_pi
         return mi.Point2f(dr.sqrt(x * x + y * y), dr.select(v < 0, v + 1, v))
 
+    def from_uv(self, uv: mi.Point2f) -> tuple[mi.Float, mi.Float]:
+        """Principal coordinates at a point of that parameterisation."""
+        y, x = dr.sincos(dr.two_pi * uv.y)
+        x, y = x * uv.x, y * uv.x
+        a = self.parameter_cos * x + self.parameter_sin * y
+        b = self.parameter_cos * y - self.parameter_sin * x
+        return a, b * self.handedness
+
 
 def from_transform(to_world) -> Ellipse:
     """Principal axes of the image of the unit disk under an affine map.
@@ -136,9 +144,7 @@ def from_transform(to_world) -> Ellipse:
         `disk`, also under mirrors.
     """
     matrix = mi.Matrix4d(getattr(to_world, "matrix", to_world))
-    u, w, centre = (
-        mi.Vector3d(matrix[0, k], matrix[1, k], matrix[2, k]) for k in (0, 1, 3)
-    )
+    u, w, centre = (mi.Vector3d(matrix[0, k], matrix[1, k], matrix[2, k]) for k in (0, 1, 3))
     image_z = mi.Vector3d(matrix[0, 2], matrix[1, 2], matrix[2, 2])
 
     uu, ww, uw = dr.dot(u, u), dr.dot(w, w), dr.dot(u, w)

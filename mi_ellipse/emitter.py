@@ -2,46 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
-
 import drjit as dr
 import mitsuba as mi
 
 from . import ellipse, llvm
 from .sampling import DEFAULT, STRATEGIES
-
-_sampling_override: ContextVar[str | None] = ContextVar("sampling_override", default=None)
-
-
-@contextmanager
-def override_sampling(name: str | None) -> Iterator[None]:
-    """Build every `ellipticalarea` with one strategy, whatever the scene asks for.
-
-    Parameters
-    ----------
-    name
-        A key of `mi_ellipse.sampling.STRATEGIES`, or None for no override.
-
-    Raises
-    ------
-    ValueError
-        If no strategy has that name.
-    """
-    if name is not None:
-        _check_strategy(name)
-    token = _sampling_override.set(name)
-    try:
-        yield
-    finally:
-        _sampling_override.reset(token)
-
-
-def _check_strategy(name: str) -> None:
-    if name not in STRATEGIES:
-        known = ", ".join(STRATEGIES)
-        raise ValueError(f'ellipticalarea: sampling="{name}" is unknown; choose one of {known}')
+from .sampling.textured import Textured, follows_texture
 
 
 def define() -> type:
@@ -64,18 +30,21 @@ def define() -> type:
         def __init__(self, props: mi.Properties):
             super().__init__(props)
             llvm.check()
-            if props.has_property("to_world"):
+            if "to_world" in props:
                 raise ValueError(
                     "ellipticalarea: to_world is not allowed; the light inherits the transform of "
                     "its shape, put it there"
                 )
             self.radiance = props.get_emissive_texture("radiance", 1.0)
-            name = props.get("sampling", DEFAULT)
-            _check_strategy(name)
-            self.sampling = _sampling_override.get() or name
-            self.strategy = STRATEGIES[self.sampling]()
+            self.sampling = props.get("sampling", DEFAULT)
+            if self.sampling not in STRATEGIES:
+                raise ValueError(
+                    f'ellipticalarea: sampling="{self.sampling}" is unknown; choose one of '
+                    + ", ".join(STRATEGIES)
+                )
             self.ellipse = None
-            self._update_flags()
+            self._misplaced = None
+            self._follow_radiance()
 
         # ---- Parameters ------------------------------------------------------------------------
 
@@ -87,28 +56,40 @@ def define() -> type:
             super().parameters_changed(keys)
             if not keys or "parent" in keys:
                 self.attach()
-            self._update_flags()
+            self._follow_radiance()
 
-        def _update_flags(self) -> None:
+        def _follow_radiance(self) -> None:
             self.m_flags = mi.EmitterFlags.Surface
             if self.radiance.is_spatially_varying():
                 self.m_flags |= mi.EmitterFlags.SpatiallyVarying
+            self.strategy = STRATEGIES[self.sampling]()
+            self.follows_texture = follows_texture(self.radiance)
+            if self.follows_texture:
+                self.strategy = Textured(self.strategy, self.radiance)
 
         def attach(self) -> None:
             """Take the geometry from the shape, as values that do not keep it alive."""
             shape = self.get_shape()
             if shape is None or shape.class_name() != "Disk":
                 name = "no shape" if shape is None else f"a {shape.class_name()}"
-                raise ValueError(
-                    f"ellipticalarea: the light is attached to {name}; put it into a shape of "
-                    'type "ellipse" or "disk"'
+                self._misplaced = (
+                    f"ellipticalarea: the light is attached to {name} and gives no light; put it "
+                    'into a shape of type "ellipse" or "disk"'
                 )
+                raise ValueError(self._misplaced)
             self.ellipse = ellipse.from_transform(dr.detach(mi.traverse(shape)["to_world"]))
             dr.make_opaque(self.ellipse)
 
-        def _attached(self) -> ellipse.Ellipse:
-            # A plain disk gives no earlier opportunity: it does not announce itself.
-            if self.ellipse is None:
+        def _attached(self) -> ellipse.Ellipse | None:
+            """Geometry of the light; None for one that has already raised an error.
+
+            Dr.Jit traces every living emitter, also that of a scene which the traceback of its
+            error keeps alive: it must not fail the renders after it, nor touch a shape that may
+            be gone.
+            """
+            if self._misplaced:
+                mi.Log(mi.LogLevel.Warn, self._misplaced)
+            elif self.ellipse is None:  # A plain disk gives no earlier opportunity
                 self.attach()
             return self.ellipse
 
@@ -116,6 +97,8 @@ def define() -> type:
 
         def sample_direction(self, it, sample, active=True):
             light = self._attached()
+            if light is None:
+                return dr.zeros(mi.DirectionSample3f), dr.zeros(mi.Spectrum)
             with dr.suspend_grad():
                 ds, valid = self._sample(light, it, sample)
             valid &= active
@@ -145,6 +128,8 @@ def define() -> type:
 
         def pdf_direction(self, it, ds, active=True):
             light = self._attached()
+            if light is None:
+                return mi.Float(0)
             with dr.suspend_grad():
                 record = self.strategy.prepare(light, it.p, it.n)
                 pdf = self.strategy.pdf(record, light.to_light(ds.d))
@@ -164,13 +149,11 @@ def define() -> type:
 
         def sample_position(self, time, sample, active=True):
             shape = self.get_shape()
-            if self.radiance.is_spatially_varying():
+            if self.follows_texture:
                 uv, pdf = self.radiance.sample_position(sample, active)
                 si = shape.eval_parameterization(uv, mi.RayFlags.All, active & (pdf > 0))
                 ps = mi.PositionSample3f(si)
-                ps.pdf = dr.select(
-                    si.is_valid(), pdf / dr.norm(dr.cross(si.dp_du, si.dp_dv)), 0
-                )
+                ps.pdf = dr.select(si.is_valid(), pdf / dr.norm(dr.cross(si.dp_du, si.dp_dv)), 0)
                 ps.delta = False
             else:
                 ps = shape.sample_position(time, sample, active)
@@ -179,7 +162,7 @@ def define() -> type:
 
         def pdf_position(self, ps, active=True):
             shape = self.get_shape()
-            if not self.radiance.is_spatially_varying():
+            if not self.follows_texture:
                 return shape.pdf_position(ps, active)
             si = shape.eval_parameterization(ps.uv, mi.RayFlags.All, active)
             pdf = self.radiance.pdf_position(ps.uv, active)

@@ -23,8 +23,8 @@ import numpy as np
 from . import __version__
 
 # Mitsuba numbers the samples of a pass with 32 bits. Memory sets no tighter limit: `path`, `prb`
-# and `volpath` run as one kernel that keeps nothing per sample (under LLVM, peak memory grew by less
-# than 2 MiB from 4 to 34 million samples). The film, 12 bytes a pixel for RGB, cannot be split.
+# and `volpath` run as one kernel that keeps nothing per sample (under LLVM, peak memory grew by
+# less than 2 MiB from 4 to 34 million samples). The film, 12 bytes a pixel, cannot be split.
 MAX_SAMPLES_PER_PASS = 2**32 - 1
 
 
@@ -248,7 +248,7 @@ def write_exr(
         bitmap = mi.Bitmap(pixels, mi.Bitmap.PixelFormat.MultiChannel, list(channels))
     for name, value in (metadata or {}).items():
         bitmap.metadata()[name] = value
-    with _replacement(Path(path)) as temporary:
+    with replacement(Path(path)) as temporary:
         bitmap.write(str(temporary))
 
 
@@ -283,7 +283,7 @@ def write_png(path: str | PathLike[str], image: np.ndarray, exposure: float = 0.
     rgb = np.nan_to_num(_to_rgb(image), nan=0.0, posinf=0.0, neginf=0.0) * 2.0**exposure
     bitmap = mi.Bitmap(np.ascontiguousarray(rgb, dtype=np.float32))
     bitmap = bitmap.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, srgb_gamma=True)
-    with _replacement(Path(path)) as temporary:
+    with replacement(Path(path)) as temporary:
         bitmap.write(str(temporary))
 
 
@@ -305,7 +305,7 @@ def _to_rgb(image: np.ndarray) -> np.ndarray:
 
 
 @contextmanager
-def _replacement(path: Path) -> Iterator[Path]:
+def replacement(path: Path) -> Iterator[Path]:
     """
     Give a temporary path in the folder of `path`, and move it there if all goes well.
 

@@ -3,6 +3,7 @@
 # Types such as `mi.Scene` exist only once a variant is set.
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
@@ -53,6 +54,24 @@ def load_scene(
     if not isinstance(scene, mi.Scene):
         raise ValueError(f"{path}: the root element is no <scene>")
     return scene
+
+
+def digest(path: str | PathLike[str], parameters: Mapping[str, str] | None = None) -> str:
+    """
+    Return a SHA-256 of what a scene file says and of the files it names, such as meshes.
+
+    Equal for two files that differ in comments and layout alone; included files count in full.
+    """
+    path = Path(path)
+    config = mi.parser.ParserConfig(mi.variant())
+    with _files_found_beside(path):
+        state = mi.parser.parse_file(config, str(path), **(parameters or {}))
+        result = hashlib.sha256(mi.parser.write_string(state).encode())
+        for node in state.nodes:
+            if "filename" in node.props:
+                file = Path(str(mi.file_resolver().resolve(node.props["filename"])))
+                result.update(file.read_bytes() if file.is_file() else b"")
+    return result.hexdigest()
 
 
 def _lamps(state: mi.parser.ParserState) -> list[int]:

@@ -29,14 +29,14 @@ def create(props: mi.Properties) -> mi.Shape:
     disk_props = mi.Properties(props)
     disk_props.set_plugin_name("disk")
     for name in ("semi_axis_x", "semi_axis_y"):
-        if disk_props.has_property(name):
+        if name in disk_props:
             disk_props.remove_property(name)
     disk_props["to_world"] = to_world @ mi.ScalarAffineTransform4d().scale([*semi_axes, 1])
     disk = mi.PluginManager.instance().create_object(disk_props)
 
     # What `disk` did not ask for stays unqueried, so that Mitsuba reports a misspelt parameter.
     for name in props.property_names():
-        if not disk_props.has_property(name) or disk_props.was_queried(name):
+        if name not in disk_props or disk_props.was_queried(name):
             props.mark_queried(name)
 
     emitter = disk.emitter()
@@ -48,14 +48,15 @@ def create(props: mi.Properties) -> mi.Shape:
 def _semi_axis(props: mi.Properties, name: str) -> float:
     value = props.get(name, 1.0)
     if not (math.isfinite(value) and value > 0):
-        raise ValueError(f"ellipse: {name}={value:g} is not a length; it must be positive and finite")
+        raise ValueError(f"ellipse: {name}={value:g} must be positive and finite")
     return value
 
 
 def _to_world(props: mi.Properties) -> mi.ScalarAffineTransform4d:
     # From the matrix alone: a transform also carries an inverse, which Mitsuba's rotation about an
     # axis that is not normalised leaves inconsistent.
-    to_world = mi.ScalarAffineTransform4d(props.get("to_world", mi.ScalarAffineTransform4d()).matrix)
+    given = props.get("to_world", mi.ScalarAffineTransform4d())
+    to_world = mi.ScalarAffineTransform4d(given.matrix)
     matrix = np.array(to_world.matrix)
     if not np.isfinite(matrix).all():
         raise ValueError(f"ellipse: to_world has entries that are not finite:\n{matrix}")

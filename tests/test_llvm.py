@@ -149,15 +149,10 @@ def test_really_old_llvm_ends_in_an_exception_and_not_in_an_abort():
 # ---- Cost of the import ----
 
 
-def test_import_is_quick_and_light():
-    code = (
-        "import mitsuba, sys, time; start = time.perf_counter()\n"
-        "import mi_ellipse; print(time.perf_counter() - start)\n"
-        "print([name for name in ('matplotlib', 'rich', 'typer') if name in sys.modules])"
-    )
-    lines = [run(code).stdout.split("\n") for _ in range(3)]
-    assert min(float(line[0]) for line in lines) < 0.3
-    assert lines[0][1] == "[]"
+def test_import_leaves_heavy_modules_out():
+    names = ("matplotlib", "rich", "scipy", "typer")
+    code = f"import mi_ellipse, sys; print([name for name in {names} if name in sys.modules])"
+    assert run(code).stdout.split("\n")[0] == "[]"
 
 
 def test_environment_of_the_user_lacks_only_our_choice(monkeypatch):

@@ -76,9 +76,7 @@ def _select(mask: mi.Mask, a, b):
 
 
 def _any_perpendicular(v: mi.Vector3f) -> mi.Vector3f:
-    return _select(
-        dr.abs(v.x) <= dr.abs(v.y), mi.Vector3f(0, v.z, -v.y), mi.Vector3f(-v.z, 0, v.x)
-    )
+    return _select(dr.abs(v.x) <= dr.abs(v.y), mi.Vector3f(0, v.z, -v.y), mi.Vector3f(-v.z, 0, v.x))
 
 
 def _slice(record, eta: mi.Float) -> tuple[mi.Float, mi.Float, mi.Float]:
@@ -97,7 +95,8 @@ def _slice(record, eta: mi.Float) -> tuple[mi.Float, mi.Float, mi.Float]:
     i = dr.rcp(1 + eta2)
     centre = dr.fma(record.ce, 1 - eta2, 2 * record.sk * eta) * i
     inside = (
-        (record.eta_max - eta) * (record.eta_max + eta)
+        (record.eta_max - eta)
+        * (record.eta_max + eta)
         * dr.fma(-dr.square(record.eta_max), eta2, 1)
     )
     half = record.height * i * dr.sqrt(dr.maximum(inside, 0)) / record.eta_max
@@ -308,9 +307,7 @@ class ProjectedSolidAngle:
         inside_dual = dr.dot(z, c) > dr.sqrt(z.x * z.x + dr.square(b * z.y))
         wedge, valid = _wedge(c, b, n, _select(inside_dual, z, mi.Vector3f(0, 0, 1)))
         no_normal = (dr.squared_norm(n) == 0) | (valid == False)  # noqa: E712
-        m, z, e = (
-            _select(no_normal, *pair) for pair in ((x, wedge.m), (z, wedge.z), (y, wedge.e))
-        )
+        m, z, e = (_select(no_normal, *pair) for pair in ((x, wedge.m), (z, wedge.z), (y, wedge.e)))
         tan_max = dr.select(no_normal, seen.ta, wedge.tan_max)
         eta_max = tan_max / (1 + dr.sqrt(dr.fma(tan_max, tan_max, 1)))
 
@@ -349,8 +346,10 @@ class ProjectedSolidAngle:
             defensive_share = mi.Float(0)
         else:
             minor_irradiance = dr.abs(minor.extent) * minor.s1 * 2 * (1 + nm) / LATITUDE_SCALE
-            sines = seen.ta * seen.tb * dr.rsqrt((1 + dr.square(seen.ta)) * (1 + dr.square(seen.tb)))
-            whole = dr.pi * sines * dr.abs(dr.dot(n, seen.z * flip))
+            secants2 = (1 + dr.square(seen.ta)) * (1 + dr.square(seen.tb))
+            whole = (
+                dr.pi * seen.ta * seen.tb * dr.rsqrt(secants2) * dr.abs(dr.dot(n, seen.z * flip))
+            )
             ratio = dr.sqrt(minor_irradiance / (minor_irradiance + whole))
             minor_share = ratio / (1 + ratio)
             near = dr.clip(2 * tan_max * nm / nz - 1, 0, 1)

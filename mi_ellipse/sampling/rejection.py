@@ -93,8 +93,10 @@ class Rejection:
         gap = dr.atan2(h * (t1 - t0), h * h + t0 * t1)
         both = dr.atan2(h * (t1 + t0), t0 * t1 - h * h)  # π minus the sum of the two angles
         product = (
-            dr.sin(0.5 * (gap + g)) * dr.sin(0.5 * (gap - g))
-            * dr.sin(0.5 * (both + g)) * dr.sin(0.5 * (both - g))
+            dr.sin(0.5 * (gap + g))
+            * dr.sin(0.5 * (gap - g))
+            * dr.sin(0.5 * (both + g))
+            * dr.sin(0.5 * (both - g))
         )
         s = h * dr.sin(g) * 0.5 * dr.rsqrt(dr.abs(product))
 

@@ -60,9 +60,7 @@ class TangentDisk:
         rho = dr.sqrt(h * (2 - h)) / (1 - h)
         s, c = dr.sincos(dr.two_pi * u.x)
         scaled = rho / record.radius
-        d = dr.normalize(
-            mi.Vector3f(record.cone.ta * scaled * c, record.cone.tb * scaled * s, 1)
-        )
+        d = dr.normalize(mi.Vector3f(record.cone.ta * scaled * c, record.cone.tb * scaled * s, 1))
         return record.cone.from_local(d), _density(record, rho * rho, d.z), mi.Mask(True)
 
     def pdf(self, record: Record, direction: mi.Vector3f) -> mi.Float:

@@ -1,0 +1,122 @@
+"""Sampling of textured lights: the texture's own density beside that of a strategy."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import cone
+from ..ellipse import Ellipse
+
+# Least share of either kind of draws: the other's variance grows by at most 1 / (1 - this).
+MINIMUM_SHARE = 0.05
+
+
+class Record(NamedTuple):
+    """What is computed once per reference point."""
+
+    strategy: Any  # Record of the wrapped strategy
+    light: Ellipse
+    centre: mi.Vector3f
+    share: mi.Float  # of the draws that follow the texture
+
+
+class Textured:
+    """One-sample combination of a bitmap's density with that of a strategy.
+
+    Some draws follow the brightness of the texture, the others the strategy; the density is that
+    of the mixture (the balance heuristic of Veach and Guibas 1995, one-sample model). A small
+    bright feature is found by the first, a near light by the second, and the share of each follows
+    from an estimate of the relative variance that the other would have alone.
+
+    Parameters
+    ----------
+    strategy
+        Any strategy of this package.
+    texture
+        A bitmap for which `follows_texture` holds.
+    """
+
+    def __init__(self, strategy, texture: mi.Texture):
+        self.strategy = strategy
+        self.texture = texture
+
+        # The columns of the bitmap are radii: a texel covers an area in proportion to its own.
+        texels = np.array(dr.detach(mi.traverse(texture)["data"]), dtype=float).mean(axis=2)
+        radius = (np.arange(texels.shape[1]) + 0.5) / texels.shape[1]
+        # Of a strategy alone, far from the light: the radiance varies over the area.
+        contrast = _relative_variance(texels, radius)
+        # Of the texture alone, far from the light: its density per area has a factor 1 / radius.
+        spread = _relative_variance(radius, texels)
+        self.contrast, self.spread = mi.Float(contrast), mi.Float(spread)
+        dr.make_opaque(self.contrast, self.spread)
+
+    def prepare(self, ellipse: Ellipse, reference: mi.Point3f, normal: mi.Normal3f) -> Record:
+        """Record of the strategy, and the share of the texture."""
+        seen = cone.from_point(ellipse, reference)
+        # Of the texture alone, near the light: that of area sampling on the axis of a large disk
+        # is tan² / 8.
+        nearness = 0.125 * seen.ta * seen.tb
+        share = self.contrast / (self.contrast + self.spread + nearness)
+        return Record(
+            strategy=self.strategy.prepare(ellipse, reference, normal),
+            light=ellipse,
+            centre=mi.Vector3f(ellipse.light_coordinates(reference)),
+            share=dr.clip(share, MINIMUM_SHARE, 1 - MINIMUM_SHARE),
+        )
+
+    def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
+        """Direction along the light's ``(ex, ey, normal)``, its density, and validity."""
+        share = record.share
+        from_texture = u.x < share
+        u_texture = mi.Point2f(u.x / share, u.y)
+        u_strategy = mi.Point2f((u.x - share) / (1 - share), u.y)
+
+        uv, _ = self.texture.sample_position(u_texture, from_texture)
+        a, b = record.light.from_uv(uv)
+        offset = mi.Vector3f(a, b * mi.Float(record.light.ratio), 0)
+        d_texture = dr.normalize(record.centre + offset)
+        d_strategy, strategy_pdf, valid = self.strategy.sample(record.strategy, u_strategy)
+
+        d = dr.select(from_texture, d_texture, d_strategy)
+        strategy_pdf = dr.select(
+            from_texture, self.strategy.pdf(record.strategy, d_texture), strategy_pdf
+        )
+        return d, self._mixture(record, d, strategy_pdf), valid | from_texture
+
+    def pdf(self, record: Record, direction: mi.Vector3f) -> mi.Float:
+        """Density of a direction that meets the light."""
+        return self._mixture(record, direction, self.strategy.pdf(record.strategy, direction))
+
+    def _mixture(self, record: Record, direction: mi.Vector3f, strategy_pdf: mi.Float) -> mi.Float:
+        """Density of both kinds of draws, per solid angle."""
+        light, centre = record.light, record.centre
+        a, b, _ = light.point_from_direction(centre, direction)
+        uv = light.uv(a, b)
+        # uv = (radius, angle / 2π): the area is 2π radius du dv, times lx ly
+        distance = centre.z / direction.z
+        area_to_angle = dr.square(distance) / (mi.Float(light.ratio) * dr.abs(direction.z))
+        texture_pdf = self.texture.pdf_position(uv) * dr.inv_two_pi / uv.x * area_to_angle
+        return dr.lerp(strategy_pdf, texture_pdf, record.share)
+
+
+def follows_texture(texture: mi.Texture) -> bool:
+    """Tell whether a texture can draw positions by its brightness, with their exact density.
+
+    Only bitmaps do, and under a `to_uv` other than the identity their density is that of the
+    bitmap and not that of the draws.
+    """
+    if not texture.class_name().startswith("BitmapTexture"):
+        return False
+    to_uv = mi.traverse(texture)["to_uv"]
+    return to_uv == type(to_uv)()
+
+
+def _relative_variance(values: np.ndarray, weights: np.ndarray) -> float:
+    """Weighted variance over the squared mean."""
+    values, weights = np.broadcast_arrays(values, weights)
+    mean = np.average(values, weights=weights)
+    return float(np.average(values**2, weights=weights) / mean**2 - 1)
