@@ -30,6 +30,7 @@ class Ellipse:
     lx: mi.Float  # Length of the longer semi-axis
     inv_lx: mi.Float64  # 1 / lx
     ratio: mi.Float64  # ly / lx, in (0, 1]
+    inv_ratio: mi.Float  # lx / ly
     eccentricity2: mi.Float  # 1 - ratio², without cancellation
     parameter_cos: mi.Float  # First column of the rotation (or reflection) that takes principal
     parameter_sin: mi.Float  # coordinates (a, b) to those of the unit disk before `to_world`
@@ -92,7 +93,7 @@ class Ellipse:
         """
         t = centre.z / direction.z
         a = direction.x * t - centre.x
-        b = (direction.y * t - centre.y) / self.ratio
+        b = (direction.y * t - centre.y) * self.inv_ratio
         near = (t > 0) & (t < 1)
 
         # A NaN or infinite coordinate ends at a bound, not in the result: fmin and fmax drop NaN.
@@ -168,6 +169,7 @@ def from_transform(to_world) -> Ellipse:
         lx=mi.Float(lx),
         inv_lx=dr.rcp(lx),
         ratio=ratio,
+        inv_ratio=mi.Float(dr.rcp(ratio)),
         eccentricity2=mi.Float((1 - ratio) * (1 + ratio)),
         parameter_cos=mi.Float(cos_t),
         parameter_sin=mi.Float(sin_t),

@@ -18,35 +18,28 @@ class Record(NamedTuple):
     cone: Cone
     a1: mi.Float  # sin(α/2), half the larger half-angle
     b1: mi.Float  # sin(β/2), half the smaller half-angle
-    ka: mi.Float  # cos² of the same angles, times the stretch of the tangent plane: a1 = ta √ka
+    ka: mi.Float  # (a1 / ta)²: change of scale from the tangent plane to that of half the angle
     kb: mi.Float
-    kappa: mi.Float  # Strength of the angular warp, 1 for circles
+    inv_kappa: mi.Float  # Strength of the angular warp, 1 for circles
     rho: mi.Float  # Where along the quadrant the warp acts
 
 
-def _half_angle_factor(t: mi.Float) -> mi.Float:
-    """``(sin(θ/2) / tan θ)²`` for ``t = tan θ``."""
-    q = dr.fma(t, t, 1)
-    return 0.5 / (q + dr.sqrt(q))
-
-
 def _angular_warp(
-    ta: mi.Float, tb: mi.Float, ka: mi.Float, kb: mi.Float
+    ka: mi.Float, kb: mi.Float, b0: mi.Float, b1: mi.Float
 ) -> tuple[mi.Float, mi.Float]:
-    """Parameters κ, ρ of the warp that makes the density stationary at a third azimuth.
+    """Parameters 1/κ, ρ of the warp that makes the density stationary at a third azimuth.
 
     The plain half-angle map has the same density at both ends of the quadrant. κ matches the one
     at ``cos² t = x`` between them, and ρ places the warp; both x and ρ are quadratics fitted to
     the least largest deviation from uniform over all half-angles, for any choice gives an exact
     density.
     """
-    b0, b1 = ka * dr.fma(ta, ta, 1), kb * dr.fma(tb, tb, 1)
     t = b0 - 0.25  # 0 for small lights, ¼ for those that fill the hemisphere
     rho = 1 - t * dr.fma(3.6, t, 1.34)
     x = 0.5 + t * dr.fma(-1.75, t, 0.27)
     length = dr.fma(b1 - b0, x, b0)
     h = length + dr.sqrt(dr.fma(kb - ka, x, ka) * length)
-    return dr.rsqrt(2 * h), rho
+    return dr.sqrt(2 * h), rho
 
 
 def rim(record: Record, c: mi.Float, s: mi.Float) -> tuple[mi.Float, mi.Float]:
@@ -79,14 +72,13 @@ def _density(record: Record, c: mi.Float, s: mi.Float) -> tuple[mi.Float, mi.Flo
     derivative of the inverse warp.
     """
     density, extent = rim(record, c, s)
-    kappa, rho2 = record.kappa, dr.square(record.rho)
+    rho2 = dr.square(record.rho)
     c2, s2 = rho2 * c * c, s * s
-    cos2, sin2 = kappa * (c2 - s2), 2 * record.rho * c * s
-    inv_norm2 = dr.rcp(dr.fma(cos2, cos2, sin2 * sin2))
-    cos2 = cos2 * dr.sqrt(inv_norm2)
-    shift = 0.5 * ((1 + cos2) + rho2 * (1 - cos2))
-    scale = rho2 * kappa * dr.inv_two_pi / (record.a1 * record.b1)
-    return scale * density * (c2 + s2) * inv_norm2 / shift, extent
+    cos2, sin2 = c2 - s2, 2 * record.rho * record.inv_kappa * c * s
+    norm = dr.sqrt(dr.fma(cos2, cos2, sin2 * sin2))
+    shift = 0.5 * norm * ((norm + cos2) + rho2 * (norm - cos2))
+    scale = record.a1 * record.b1 * shift
+    return dr.inv_two_pi * rho2 * record.inv_kappa * density * (c2 + s2) / scale, extent
 
 
 def warp(record: Record, c: mi.Float, s: mi.Float) -> tuple[mi.Float, mi.Float]:
@@ -96,7 +88,7 @@ def warp(record: Record, c: mi.Float, s: mi.Float) -> tuple[mi.Float, mi.Float]:
     the result has a common factor.
     """
     c = record.rho * c
-    cos2, sin2 = dr.fma(c, c, -s * s), 2 * record.kappa * c * s
+    cos2, sin2 = record.inv_kappa * dr.fma(c, c, -s * s), 2 * c * s
     w = dr.sqrt(dr.fma(cos2, cos2, sin2 * sin2)) + dr.abs(cos2)
     upright = cos2 >= 0
     sign = dr.sign(dr.select(upright, c, s))
@@ -106,7 +98,7 @@ def warp(record: Record, c: mi.Float, s: mi.Float) -> tuple[mi.Float, mi.Float]:
 def direction(record: Record, c: mi.Float, s: mi.Float, height: mi.Float) -> mi.Vector3f:
     """Direction in the cone's frame, ``1 - cos θ`` being `height` there."""
     x, y = record.a1 * c, record.b1 * s
-    r = dr.sqrt(height * (2 - height)) * dr.rsqrt(dr.fma(x, x, y * y))
+    r = dr.sqrt(height * (2 - height) / dr.fma(x, x, y * y))
     return mi.Vector3f(x * r, y * r, 1 - height)
 
 
@@ -122,15 +114,17 @@ class SolidAngle:
     def prepare(self, ellipse: Ellipse, reference: mi.Point3f, normal: mi.Normal3f) -> Record:
         """Cone and warp of a reference point; its normal is not used."""
         seen = cone.from_point(ellipse, reference)
-        ka, kb = _half_angle_factor(seen.ta), _half_angle_factor(seen.tb)
-        kappa, rho = _angular_warp(seen.ta, seen.tb, ka, kb)
+        qa, qb = 1 + seen.ta2, 1 + seen.tb2
+        ra, rb = dr.sqrt(qa), dr.sqrt(qb)
+        ka, kb = 0.5 / (qa + ra), 0.5 / (qb + rb)
+        inv_kappa, rho = _angular_warp(ka, kb, ka * qa, kb * qb)
         return Record(
             cone=seen,
-            a1=seen.ta * dr.sqrt(ka),
-            b1=seen.tb * dr.sqrt(kb),
+            a1=dr.sqrt(seen.ta2 * ka),
+            b1=dr.sqrt(seen.tb2 * kb),
             ka=ka,
             kb=kb,
-            kappa=kappa,
+            inv_kappa=inv_kappa,
             rho=rho,
         )
 
@@ -145,8 +139,9 @@ class SolidAngle:
     def pdf(self, record: Record, direction: mi.Vector3f) -> mi.Float:
         """Density of a direction that meets the light."""
         d = record.cone.to_local(direction)
-        c, s = d.x / record.a1, d.y / record.b1
+        c, s = d.x * record.b1, d.y * record.a1
         largest = dr.maximum(dr.abs(c), dr.abs(s))
+        scale = dr.rcp(largest)
         axial = largest == 0
-        c, s = dr.select(axial, 1, c / largest), dr.select(axial, 0, s / largest)
+        c, s = dr.select(axial, 1, c * scale), dr.select(axial, 0, s * scale)
         return _density(record, c, s)[0]
