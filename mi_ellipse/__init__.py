@@ -12,6 +12,15 @@ llvm.install()
 import mitsuba as mi  # noqa: E402
 
 from . import emitter, shape  # noqa: E402
+from .measures import (  # noqa: E402
+    irradiance,
+    solid_angle,
+    tangent_ellipse,
+    tessellate,
+    vector_irradiance,
+)
+
+__all__ = ["irradiance", "solid_angle", "tangent_ellipse", "tessellate", "vector_irradiance"]
 
 __version__ = "0.1.0"
 

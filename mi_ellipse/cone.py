@@ -121,7 +121,7 @@ def from_point(ellipse: Ellipse, reference: mi.Point3f) -> Cone:
     """
     centre = ellipse.light_coordinates(reference)
     ratio, eccentricity2 = ellipse.ratio, ellipse.eccentricity2
-    root, inv_root, inv_x_root, inv_y_root = confocal_root(centre, ratio)  # λ = μ3, -eigenvalue
+    _, inv_root, inv_x_root, inv_y_root = confocal_root(centre, ratio)
 
     xc, yc, zc = mi.Float(centre.x), mi.Float(centre.y), mi.Float(centre.z)
     e2 = mi.Float(ratio * ratio)
