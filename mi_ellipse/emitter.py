@@ -9,6 +9,9 @@ from . import ellipse, llvm
 from .sampling import DEFAULT, STRATEGIES
 from .sampling.textured import Textured, follows_texture
 
+# Distances below this part of the coordinates are nothing but their rounding.
+RESOLUTION = 2**-21
+
 
 def define() -> type:
     """Class of the plugin under the current variant: `mi.Emitter` is another base in each."""
@@ -29,6 +32,7 @@ def define() -> type:
 
         def __init__(self, props: mi.Properties):
             super().__init__(props)
+            self._props = mi.Properties(props)  # For copies
             llvm.check()
             if "to_world" in props:
                 raise ValueError(
@@ -45,6 +49,10 @@ def define() -> type:
             self.ellipse = None
             self._misplaced = None
             self._follow_radiance()
+
+        def copy(self) -> EllipticalArea:
+            """A light with the same parameters that is not attached to a shape."""
+            return type(self)(self._props)
 
         # ---- Parameters ------------------------------------------------------------------------
 
@@ -105,7 +113,8 @@ def define() -> type:
             ds.emitter = mi.EmitterPtr(self) if dr.is_jit_v(mi.Float) else self
 
             si = mi.SurfaceInteraction3f(ds, it.wavelengths)
-            radiance = self.radiance.eval(si, valid) / ds.pdf
+            # Scalar variants raise an error on a division by zero.
+            radiance = self.radiance.eval(si, valid) / dr.select(valid, ds.pdf, 1)
             return ds, mi.depolarizer(dr.select(valid, radiance, 0))
 
         def _sample(self, light, it, sample):
@@ -114,6 +123,9 @@ def define() -> type:
             centre = light.light_coordinates(it.p)
             valid &= (centre.z < 0) & (pdf > 0) & dr.isfinite(pdf)
             a, b, dist = light.point_from_direction(mi.Vector3f(centre), d)
+            # From a point of the light itself the point drawn may be this same one, and the
+            # direction that `prb` and others take between the two is then 0/0.
+            valid &= dist > RESOLUTION * dr.max(dr.abs(it.p))
 
             ds = mi.DirectionSample3f()
             ds.p = light.point(a, b)
@@ -123,7 +135,8 @@ def define() -> type:
             ds.delta = False
             ds.d = light.to_world(d)
             ds.dist = dist
-            ds.pdf = pdf
+            # Integrators skip draws of no density; a NaN would survive a multiplication by zero.
+            ds.pdf = dr.select(valid, pdf, 0)
             return ds, valid
 
         def pdf_direction(self, it, ds, active=True):
@@ -171,7 +184,7 @@ def define() -> type:
         def sample_ray(self, time, sample1, sample2, sample3, active=True):
             ps, weight = self.sample_position(time, sample2, active)
             local = mi.warp.square_to_cosine_hemisphere(sample3)
-            si = mi.SurfaceInteraction3f(ps, dr.zeros(mi.Color0f))
+            si = mi.SurfaceInteraction3f(ps, dr.zeros(type(mi.Ray3f().wavelengths)))
             wavelengths, wavelength_weight = self.sample_wavelengths(si, sample1, active)
             si.time = time
             si.wavelengths = wavelengths
@@ -180,7 +193,9 @@ def define() -> type:
             return si.spawn_ray(si.to_world(local)), weight
 
         def sample_wavelengths(self, si, sample, active=True):
-            return self.radiance.sample_spectrum(si, mi.sample_shifted(sample), active)
+            # There is no wavelength, and no `sample_shifted`, outside the spectral variants.
+            shifted = mi.sample_shifted(sample) if mi.is_spectral else mi.Color0f()
+            return self.radiance.sample_spectrum(si, shifted, active)
 
         def pdf_wavelengths(self, wavelengths, active=True):
             si = dr.zeros(mi.SurfaceInteraction3f)

@@ -32,10 +32,14 @@ def create(props: mi.Properties) -> mi.Shape:
         if name in disk_props:
             disk_props.remove_property(name)
     disk_props["to_world"] = to_world @ mi.ScalarAffineTransform4d().scale([*semi_axes, 1])
+    for name, value in disk_props.objects(mark_queried=False):
+        # Mitsuba merges equal Python emitters of a dictionary into one object.
+        if isinstance(value, mi.Emitter) and value.get_shape() is not None:
+            disk_props[name] = value.copy() if hasattr(value, "copy") else value
     disk = mi.PluginManager.instance().create_object(disk_props)
 
     # What `disk` did not ask for stays unqueried, so that Mitsuba reports a misspelt parameter.
-    for name in props.property_names():
+    for name in props.keys():  # noqa: SIM118
         if name not in disk_props or disk_props.was_queried(name):
             props.mark_queried(name)
 

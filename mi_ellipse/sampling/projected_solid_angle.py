@@ -10,9 +10,24 @@ import mitsuba as mi
 from .. import cone
 from ..ellipse import Ellipse
 
-# Scale of the tangent of the latitude: the primitive of (1 + c² T²)^(-3/2) is elementary, and
-# c² = 4/3 matches the wanted weight cos² λ to second order.
-LATITUDE_SCALE = (4 / 3) ** 0.5
+# Squared scale of the tangent of the latitude: the primitive of (1 + c² T²)^(-3/2) is elementary,
+# and c² = 4/3 matches the wanted weight cos² λ to second order. Over slices from pole to pole the
+# best is 1.7-2: adding up to 0.4 for long slices halves the variance of lights that fill the view.
+LATITUDE_SCALE2 = 4 / 3
+LONG_SLICES = 0.4
+
+# Needles are cut crosswise: where the cone is this much longer than wide, narrower than this
+# tangent, the pole this far outside (squared, 1 being the rim), and this far (sine squared) from
+# the plane of the needle, towards which it falls when the normal is perpendicular to that plane.
+CROSSWISE_ASPECT = 4
+CROSSWISE_TANGENT = 2
+CROSSWISE_CLEARANCE = 20
+CROSSWISE_SINE2 = 0.05
+
+# A side of the horizon is drawn in proportion to this power of its irradiance. 1 is best for
+# the squared error of an image, 0 for the worse side's relative variance; 0.4 costs the image error
+# a tenth more than ½ and takes a third off the mean relative variance.
+SIDE_EXPONENT = 0.4
 
 # A side of the horizon thinner than this part of the cone is left to the other side's density.
 THINNEST_SIDE = 1e-5
@@ -61,7 +76,7 @@ class Record(NamedTuple):
     ce: mi.Float  # Tangent of the latitude of the slices' centres: ce cos ψ + sk sin ψ
     sk: mi.Float
     height: mi.Float  # and of their half-lengths, over √(1 - (tan ψ / tan ψmax)²)
-    scale: mi.Float  # `LATITUDE_SCALE`, or 1 where there is no normal
+    scale: mi.Float  # c of `LATITUDE_SCALE2`, or 1 where there is no normal
     no_normal: mi.Mask  # In media, and where the wedge degenerates: uniform in solid angle
     straddling: mi.Mask  # The horizon divides the cone
     major: Slices  # The side of the horizon with the larger part of the cone, or all of it
@@ -106,7 +121,8 @@ def _slice(record, eta: mi.Float) -> tuple[mi.Float, mi.Float, mi.Float]:
     ra, rb = dr.sqrt(dr.fma(a, a, 1)), dr.sqrt(dr.fma(b, b, 1))
     sa, sb = a / ra, b / rb
     same_side = a * b > 0
-    stable = 4 * mid * half / (dr.fma(b, ra, a * rb) * ra * rb)
+    total = dr.maximum(dr.fma(dr.abs(b), ra, dr.abs(a) * rb), cone.TINY)
+    stable = 4 * dr.abs(mid) * half / (total * ra * rb)
     return sa, dr.select(same_side, stable, sb - sa), centre
 
 
@@ -165,8 +181,9 @@ def _slice_density(slices: Slices, eta: mi.Float) -> mi.Float:
     density, u = _kumaraswamy((eta - slices.start) / slices.extent, slices.squared)
     left = u < 0.5
     p0, p1 = dr.select(left, slices.s0, slices.s1), dr.select(left, slices.s1, slices.s2)
-    warp = dr.lerp(p0, p1, dr.select(left, 2 * u, 2 * u - 1)) / slices.total
-    return density * warp / dr.abs(slices.extent)
+    warp = dr.lerp(p0, p1, dr.select(left, 2 * u, 2 * u - 1))
+    warp = warp / dr.maximum(slices.total, cone.TINY)
+    return density * warp / dr.maximum(dr.abs(slices.extent), cone.TINY)
 
 
 def _draw_slice(slices: Slices, u: mi.Float) -> mi.Float:
@@ -213,29 +230,55 @@ class _Wedge(NamedTuple):
     height: mi.Float
 
 
-def _wedge(c: mi.Vector3f, b: mi.Float, n: mi.Vector3f, axis: mi.Vector3f):
-    """Slices of the cone through a pole perpendicular to the normal.
+def _pole(n: mi.Vector3f, axis: mi.Vector3f, frame, ta: mi.Float, tb: mi.Float) -> mi.Vector3f:
+    """A pole perpendicular to the normal and outside the cone.
+
+    Perpendicular to an axis in the dual cone as well it is always outside. Slices along a needle
+    that is tilted against them have a weight with a peak that three nodes miss; across it they are
+    short and their weight is smooth.
+
+    Parameters
+    ----------
+    n
+        Surface normal.
+    axis
+        A direction in the dual cone, such as the axis of the cone.
+    frame
+        The cone's major, minor and central axis.
+    ta, tb
+        Tangents of the half-angles.
+    """
+    e = dr.cross(n, axis)
+    e = _select(dr.squared_norm(e) < 1e-12, _any_perpendicular(axis), e)
+    e = dr.normalize(e)
+    e = dr.normalize(e - axis * dr.dot(e, axis))
+
+    x, y, z = frame
+    crosswise = y - n * dr.dot(n, y)
+    rim2 = dr.square(dr.dot(crosswise, x) / ta) + dr.square(dr.dot(crosswise, y) / tb)
+    is_needle = (ta > CROSSWISE_ASPECT * tb) & (tb < CROSSWISE_TANGENT)
+    is_outside = rim2 > CROSSWISE_CLEARANCE * dr.square(dr.dot(crosswise, z))
+    length2 = dr.squared_norm(crosswise)
+    return _select(
+        is_needle & is_outside & (length2 > CROSSWISE_SINE2), crosswise * dr.rsqrt(length2), e
+    )
+
+
+def _wedge(c: mi.Vector3f, b: mi.Float, e: mi.Vector3f):
+    """Slices of the cone through a pole.
 
     Parameters
     ----------
     c
         Centre of the light in its own frame, with semi-axes 1 and `b`.
-    n
-        Surface normal.
-    axis
-        A direction in the dual cone, such as the axis of the cone.
+    e
+        Pole outside the cone.
 
     Returns
     -------
     wedge, valid
         `valid` is false where rounding leaves no wedge.
     """
-    # A pole outside the cone: perpendicular to the axis as well
-    e = dr.cross(n, axis)
-    e = _select(dr.squared_norm(e) < 1e-12, _any_perpendicular(axis), e)
-    e = dr.normalize(e)
-    e = dr.normalize(e - axis * dr.dot(e, axis))
-
     # Dual conic of the cone's projection along the pole, and its eigenvectors
     g1 = dr.normalize(c - e * dr.dot(c, e))
     g2 = dr.cross(e, g1)
@@ -246,9 +289,12 @@ def _wedge(c: mi.Vector3f, b: mi.Float, n: mi.Vector3f, axis: mi.Vector3f):
     delta = c_perp * c_perp * d22 - dr.square(u1 * w2 - u2 * w1)
     mean = 0.5 * (d11 + d22)
     hyp = dr.sqrt(dr.square(0.5 * (d11 - d22)) + d12 * d12)
-    positive = dr.select(mean >= 0, hyp + mean, delta / (hyp - mean))  # λ+
-    negative = delta / positive  # λ-
-    valid = (delta > 0) & (negative > 0) & dr.isfinite(positive) & dr.isfinite(negative)
+    positive = dr.select(  # λ+
+        mean >= 0, hyp + mean, delta / dr.maximum(hyp - mean, cone.TINY)
+    )
+    negative = delta / dr.maximum(positive, cone.TINY)  # λ-
+    valid = (positive > 0) & (negative > 0) & dr.isfinite(positive) & dr.isfinite(negative)
+    positive, negative = dr.select(valid, positive, 1), dr.select(valid, negative, 1)
 
     z = dr.normalize(g1 * (d22 + negative) - g2 * d12)
     z = z * dr.sign(dr.dot(z, c))
@@ -277,8 +323,8 @@ class ProjectedSolidAngle:
     closed form. The density is exact and no iteration is needed.
 
     The renderer tells an emitter the geometric normal and not which side of the surface is seen.
-    Where the horizon divides the cone, each side gets a share of the draws in proportion to the
-    square root of its irradiance; where the horizon is near, a share of the draws covers the whole
+    Where the horizon divides the cone, each side gets a share of the draws in proportion to a
+    power of its irradiance; where the horizon is near, a share of the draws covers the whole
     cone. So the estimate is unbiased for two-sided, transmitting, bumped and smoothly shaded
     surfaces. In media, where there is no normal, directions are almost uniform in solid angle.
 
@@ -305,7 +351,8 @@ class ProjectedSolidAngle:
         x, y, z = seen.x * flip, seen.y * flip, seen.z * flip
 
         inside_dual = dr.dot(z, c) > dr.sqrt(z.x * z.x + dr.square(b * z.y))
-        wedge, valid = _wedge(c, b, n, _select(inside_dual, z, mi.Vector3f(0, 0, 1)))
+        axis = _select(inside_dual, z, mi.Vector3f(0, 0, 1))
+        wedge, valid = _wedge(c, b, _pole(n, axis, (x, y, z), seen.ta, seen.tb))
         no_normal = (dr.squared_norm(n) == 0) | (valid == False)  # noqa: E712
         m, z, e = (_select(no_normal, *pair) for pair in ((x, wedge.m), (z, wedge.z), (y, wedge.e)))
         tan_max = dr.select(no_normal, seen.ta, wedge.tan_max)
@@ -320,6 +367,8 @@ class ProjectedSolidAngle:
         m, nm = m * mirror, dr.abs(nm)
 
         eta_horizon = -nz / (1 + nm)
+        long = 1 - dr.rcp(1 + dr.square(wedge.height))
+        scale = dr.sqrt(dr.fma(LONG_SLICES, long, LATITUDE_SCALE2))
         straddling = (eta_horizon > -eta_max * (1 - THINNEST_SIDE)) & (no_normal == False)  # noqa: E712
         shape = Record(
             m=m,
@@ -331,7 +380,7 @@ class ProjectedSolidAngle:
             ce=dr.select(no_normal, 0, wedge.ce),
             sk=dr.select(no_normal, 0, wedge.sk * mirror),
             height=dr.select(no_normal, seen.tb, wedge.height),
-            scale=dr.select(no_normal, 1, LATITUDE_SCALE),
+            scale=dr.select(no_normal, 1, scale),
             no_normal=no_normal,
             straddling=straddling,
             major=None,
@@ -345,14 +394,14 @@ class ProjectedSolidAngle:
             minor_share = dr.select(flipped, 1, 0)
             defensive_share = mi.Float(0)
         else:
-            minor_irradiance = dr.abs(minor.extent) * minor.s1 * 2 * (1 + nm) / LATITUDE_SCALE
+            minor_irradiance = dr.abs(minor.extent) * minor.total * 2 * (1 + nm) / scale
             secants2 = (1 + dr.square(seen.ta)) * (1 + dr.square(seen.tb))
             whole = (
                 dr.pi * seen.ta * seen.tb * dr.rsqrt(secants2) * dr.abs(dr.dot(n, seen.z * flip))
             )
-            ratio = dr.sqrt(minor_irradiance / (minor_irradiance + whole))
+            ratio = dr.power(minor_irradiance / (minor_irradiance + whole), SIDE_EXPONENT)
             minor_share = ratio / (1 + ratio)
-            near = dr.clip(2 * tan_max * nm / nz - 1, 0, 1)
+            near = dr.clip(2 * tan_max * nm / dr.maximum(nz, cone.TINY) - 1, 0, 1)
             defensive_share = dr.select(no_normal, 0, DEFENSIVE_SHARE * near)
         return shape._replace(
             major=major,
@@ -366,10 +415,13 @@ class ProjectedSolidAngle:
         # Split the first number between the defensive share and the two sides.
         share = record.defensive_share
         whole = u.x < share
-        v = dr.select(whole, u.x / share, (u.x - share) / (1 - share))
-        is_minor = v < record.minor_share
+        v = dr.select(whole, u.x / dr.maximum(share, cone.TINY), (u.x - share) / (1 - share))
+        minor = record.minor_share
+        is_minor = v < minor
         v_side = dr.select(
-            is_minor, v / record.minor_share, (v - record.minor_share) / (1 - record.minor_share)
+            is_minor,
+            v / dr.maximum(minor, cone.TINY),
+            (v - minor) / dr.maximum(1 - minor, cone.TINY),
         )
         side = Slices(
             *(

@@ -104,8 +104,10 @@ class Rejection:
         d2 = s * s + h * h
         r0, r1 = dr.sqrt(t0 * t0 + d2), dr.sqrt(t1 * t1 + d2)
         span = _cross_difference(t0, t1, r0, r1, d2) / (r0 * r1)
-        below = dr.select(t0 < 0, d2 / (r0 - t0), r0 + t0) / r0 + u1 * span  # 1 + sine
-        above = dr.select(t1 > 0, d2 / (r1 + t1), r1 - t1) / r1 + (1 - u1) * span  # 1 - sine
+        below = dr.select(t0 < 0, d2 / (r0 + dr.abs(t0)), r0 + t0) / r0 + u1 * span  # 1 + sine
+        above = (
+            dr.select(t1 > 0, d2 / (r1 + dr.abs(t1)), r1 - t1) / r1 + (1 - u1) * span
+        )  # 1 - sine
         t = dr.sqrt(d2) * 0.5 * (below - above) * dr.rsqrt(below * above)
 
         x, y = dr.select(record.edge_is_x, t, s), dr.select(record.edge_is_x, s, t)

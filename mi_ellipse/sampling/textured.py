@@ -11,7 +11,7 @@ import numpy as np
 from .. import cone
 from ..ellipse import Ellipse
 
-# Least share of either kind of draws: the other's variance grows by at most 1 / (1 - this).
+# Least share of either kind of draws: the other's second moment grows by at most 1 / (1 - this).
 MINIMUM_SHARE = 0.05
 
 
@@ -106,17 +106,18 @@ class Textured:
 def follows_texture(texture: mi.Texture) -> bool:
     """Tell whether a texture can draw positions by its brightness, with their exact density.
 
-    Only bitmaps do, and under a `to_uv` other than the identity their density is that of the
-    bitmap and not that of the draws.
+    Only bitmaps do, unless they are black, and under a `to_uv` other than the identity their
+    density is that of the bitmap and not that of the draws.
     """
     if not texture.class_name().startswith("BitmapTexture"):
         return False
-    to_uv = mi.traverse(texture)["to_uv"]
-    return to_uv == type(to_uv)()
+    parameters = mi.traverse(texture)
+    to_uv = parameters["to_uv"]
+    return to_uv == type(to_uv)() and bool(np.any(dr.detach(parameters["data"])))
 
 
 def _relative_variance(values: np.ndarray, weights: np.ndarray) -> float:
     """Weighted variance over the squared mean."""
     values, weights = np.broadcast_arrays(values, weights)
     mean = np.average(values, weights=weights)
-    return float(np.average(values**2, weights=weights) / mean**2 - 1)
+    return float(np.average(values**2, weights=weights) / mean**2 - 1) if mean else 0.0

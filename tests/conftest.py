@@ -1,0 +1,69 @@
+"""Variants, and the scenes and lights that many tests use."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mi_ellipse  # noqa: F401
+from mi_ellipse import ellipse
+
+
+@pytest.fixture
+def llvm_ad_rgb():
+    """The variant that most tests run in."""
+    mi.set_variant("llvm_ad_rgb")
+
+
+@pytest.fixture(params=["scalar_rgb", "scalar_spectral", "llvm_ad_rgb", "llvm_ad_spectral"])
+def variant(request):
+    """Each variant of the wheel that a picture could be made with."""
+    mi.set_variant(request.param)
+    return request.param
+
+
+def lamp(matrix, sampling=None, radiance=1.0, shape="ellipse", **shape_parameters):
+    """Dictionary of a lamp; `matrix` is the 4×4 transform of the unit disk.
+
+    Without `sampling`, it is Mitsuba's `area` on a `disk`.
+    """
+    emitter = (
+        {"type": "area"} if sampling is None else {"type": "ellipticalarea", "sampling": sampling}
+    )
+    if isinstance(radiance, float):
+        radiance = {"type": "rgb", "value": radiance}
+    return {
+        "type": "disk" if sampling is None else shape,
+        "to_world": mi.ScalarAffineTransform4d(np.asarray(matrix, float)),
+        "emitter": emitter | {"radiance": radiance},
+    } | shape_parameters
+
+
+def floor_and(lamps: dict, size=16, depth=2, integrator=None):
+    """Dictionary of a diffuse floor in z = 0 under lamps, seen from above."""
+    to_world = mi.ScalarTransform4f().look_at([0, -4, 4], [0, 0, 0], [0, 0, 1])
+    return {
+        "type": "scene",
+        "integrator": integrator or {"type": "path", "max_depth": depth},
+        "sensor": {
+            "type": "perspective",
+            "fov": 45,
+            "to_world": to_world,
+            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
+            "sampler": {"type": "independent"},
+        },
+        "floor": {
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f().scale(3),
+            "bsdf": {"type": "diffuse"},
+        },
+    } | lamps
+
+
+def ellipses(u, w, centre):
+    """A batch of lights from arrays of shape (n, 3)."""
+    u, w, centre = (np.asarray(v, float) for v in (u, w, centre))
+    matrix = np.zeros((len(u), 4, 4))
+    for k, column in enumerate((u, w, np.cross(u, w), centre)):
+        matrix[:, :3, k] = column
+    matrix[:, 3, 3] = 1
+    return ellipse.from_transform(mi.Matrix4d(np.moveaxis(matrix, 0, -1)))
