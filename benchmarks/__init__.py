@@ -1,0 +1,1 @@
+"""Measurements of the strategies outside a renderer's scenes."""

@@ -1,0 +1,571 @@
+"""Variance, accuracy and cost of every sampling strategy over classes of random lights.
+
+    python -m benchmarks.accuracy [--lights 192] [--samples 16384] [--rounds 9]
+
+prints the table and writes `docs/data/accuracy.json` and `docs/images/cost_variance.{svg,png}`.
+
+The estimate under test is the unoccluded irradiance of one light at one point, one sample:
+``w = max(0, n·ω) / p(ω)``. Solid angle and irradiance are compared with double-precision closed
+forms (or, below a horizon, a contour integral) that share no code with the package.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import drjit as dr
+import matplotlib.pyplot as plt
+import mitsuba as mi
+import numpy as np
+from scipy.integrate import quad
+from scipy.special import elliprj
+
+mi.set_variant("llvm_ad_rgb")
+
+from mi_ellipse import ellipse as planar  # noqa: E402
+from mi_ellipse.sampling import STRATEGIES  # noqa: E402
+from mi_ellipse.sampling.projected_solid_angle import ProjectedSolidAngle  # noqa: E402
+
+SEED = 2017
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+
+ONE_SIDED = "projected_solid_angle, one-sided"
+UNIFORM = "solid_angle"
+CONTENDERS = {name: strategy() for name, strategy in STRATEGIES.items()}
+CONTENDERS[ONE_SIDED] = ProjectedSolidAngle(one_sided=True)
+
+# Their weights have no bound, and a peak that no set of draws resolves: their second moment is
+# integrated over directions drawn by `solid_angle` instead, ∫ f²/p dω, where it is smooth.
+HEAVY_TAILED = {"area", "rejection", "tangent_disk"}
+
+
+# ---- Lights ------------------------------------------------------------------------------------
+# The longer semi-axis is 1. A class gives the shorter one and the light's centre along the light's
+# frame, seen from the reference point; orientation in the world and normal follow below.
+
+
+def _log_uniform(rng, low, high, n):
+    return np.exp(rng.uniform(np.log(low), np.log(high), n))
+
+
+def _in_direction(rng, distance):
+    """Centres at these distances, directions uniform on the hemisphere before the light."""
+    z, azimuth = rng.uniform(0, 1, distance.size), rng.uniform(0, 2 * np.pi, distance.size)
+    r = np.sqrt(1 - z * z)
+    return distance * np.array([r * np.cos(azimuth), r * np.sin(azimuth), z])
+
+
+def _above_light(rng, ratio, height):
+    """Centres seen from points at these heights, uniform over the light's surface."""
+    r, azimuth = np.sqrt(rng.uniform(0, 1, height.size)), rng.uniform(0, 2 * np.pi, height.size)
+    return np.array([r * np.cos(azimuth), ratio * r * np.sin(azimuth), height])
+
+
+def far(rng, n):
+    """10 to 1000 semi-axes away."""
+    return _log_uniform(rng, 0.1, 1, n), _in_direction(rng, _log_uniform(rng, 10, 1e3, n))
+
+
+def near(rng, n):
+    """0.5 to 5 semi-axes away."""
+    return _log_uniform(rng, 0.1, 1, n), _in_direction(rng, _log_uniform(rng, 0.5, 5, n))
+
+
+def very_near(rng, n):
+    """0.01 to 0.3 shorter semi-axes above the surface."""
+    ratio = _log_uniform(rng, 0.1, 1, n)
+    return ratio, _above_light(rng, ratio, ratio * _log_uniform(rng, 1e-2, 0.3, n))
+
+
+def needle(rng, n):
+    """100 to 10 000 times as long as wide, 0.5 to 10 semi-axes away."""
+    return _log_uniform(rng, 1e-4, 1e-2, n), _in_direction(rng, _log_uniform(rng, 0.5, 10, n))
+
+
+def near_needle(rng, n):
+    """The same, 0.05 to 0.5 semi-axes away."""
+    return _log_uniform(rng, 1e-4, 1e-2, n), _in_direction(rng, _log_uniform(rng, 0.05, 0.5, n))
+
+
+def in_plane(rng, n):
+    """Edge-on: 1.1 to 10 semi-axes from the centre, 1e-6 to 1e-2 above the light's plane."""
+    azimuth, distance = rng.uniform(0, 2 * np.pi, n), _log_uniform(rng, 1.1, 10, n)
+    height = _log_uniform(rng, 1e-6, 1e-2, n)
+    centre = np.array([distance * np.cos(azimuth), distance * np.sin(azimuth), height])
+    return _log_uniform(rng, 0.1, 1, n), centre
+
+
+def fills_hemisphere(rng, n):
+    """1e-4 to 0.01 shorter semi-axes above the surface."""
+    ratio = _log_uniform(rng, 0.1, 1, n)
+    return ratio, _above_light(rng, ratio, ratio * _log_uniform(rng, 1e-4, 1e-2, n))
+
+
+CLASSES: dict[str, Callable] = {
+    "far": far,
+    "near": near,
+    "very near": very_near,
+    "needle": needle,
+    "in plane": in_plane,
+    "fills hemisphere": fills_hemisphere,
+    "near needle": near_needle,
+}
+STRADDLING = "straddling"  # Normals whose horizon divides the light; otherwise it is wholly above
+STRADDLING_CLASSES = ("far", "near", "needle", "in plane")  # The row that pools these
+THINNEST_PART = 1e-2  # of the solid angle, on either side of that horizon
+
+
+@dataclass
+class Lights:
+    """Lights seen from the origin, each with a surface normal, and their oracles."""
+
+    to_world: np.ndarray  # 4×4×n
+    normal: np.ndarray  # 3×n, the surface's
+    solid_angle: np.ndarray
+    irradiance: np.ndarray  # 2×n: above and below the horizon of the normal
+
+
+def _tangent_ellipse(u, w, c):
+    """Axes (as columns) and half-angle tangents of the cone of one light, from its dual cone."""
+    dual = np.outer(u, u) + np.outer(w, w) - np.outer(c, c)
+    (negative, _, largest), axes = np.linalg.eigh(dual)
+    determinant = np.linalg.det(np.stack([u, w, c]))
+    middle = determinant**2 / (-negative * largest)
+    z = axes[:, 0] * np.sign(axes[:, 0] @ c)
+    y = np.cross(z, axes[:, 2])
+    tangents = np.sqrt(np.array([largest, middle]) / -negative)
+    return np.stack([axes[:, 2], y, z], axis=1), tangents
+
+
+def _normal_above(rng, axes, tangents):
+    """Cosine-distributed about the cone's axis over all normals with the light wholly above.
+
+    Those normals form the dual cone, whose orthographic semi-axes are the half-angles' cosines.
+    """
+    r, azimuth = np.sqrt(rng.uniform(0, 0.999)), rng.uniform(0, 2 * np.pi)
+    xy = r * np.array([np.cos(azimuth), np.sin(azimuth)]) / np.sqrt(1 + tangents**2)
+    return axes @ np.array([*xy, np.sqrt(1 - xy @ xy)])
+
+
+def _normal_straddling(rng, axes, tangents):
+    """Perpendicular to a direction that is uniform on the tangent ellipse."""
+    while True:
+        r, azimuth = np.sqrt(rng.uniform(0, 1)), rng.uniform(0, 2 * np.pi)
+        d = np.array([*(tangents * r * [np.cos(azimuth), np.sin(azimuth)]), 1])
+        normal = np.cross(d, rng.normal(size=3))
+        normal /= np.linalg.norm(normal)
+        # The part above, by directions even on the sphere of the orthographic ellipse
+        i = np.arange(4096) + 0.5
+        r, azimuth = np.sqrt(i / 4096), i * np.pi * (3 - np.sqrt(5))
+        xy = (tangents / np.sqrt(1 + tangents**2))[:, None] * r * [np.cos(azimuth), np.sin(azimuth)]
+        z = np.sqrt(1 - (xy**2).sum(0))
+        above = np.average(normal @ [*xy, z] > 0, weights=1 / z)
+        if THINNEST_PART < above < 1 - THINNEST_PART:
+            return axes @ normal
+
+
+def _irradiance_above(normal, tangents):
+    """Irradiance of the part above the horizon, by quadrature over chords parallel to it.
+
+    With the tangent ellipse scaled to the unit disk and turned so that the horizon is ``x = h``,
+    it is ``ta tb |g| ∫ (x - h) ∫ (1 + |X|²)⁻² dy dx``; the inner integral is elementary.
+    `normal` is along the axes of the cone.
+    """
+    g = tangents * normal[:2]
+    scale = np.hypot(*g)
+    along = tangents * g / scale
+    across = tangents * np.array([-g[1], g[0]]) / scale
+    horizon = -normal[2] / scale
+    cc = across @ across
+
+    def integrand(t):
+        x, y = np.sin(t), np.cos(t)
+        a, b = 1 + x * x * (along @ along), 2 * x * (along @ across)
+        root = 2 * np.sqrt(cc + (x * tangents[0] * tangents[1]) ** 2)  # √(4 a cc - b²)
+
+        def primitive(y):  # of (a + b y + cc y²)⁻²
+            slope = 2 * cc * y + b
+            return (
+                slope / (a + y * (b + cc * y)) + 4 * cc / root * np.arctan(slope / root)
+            ) / root**2
+
+        return (x - horizon) * (primitive(y) - primitive(-y)) * y
+
+    # For large cones the integrand peaks about the axis.
+    start = np.arcsin(max(horizon, -1))
+    peak = np.logspace(-8, 0, 17)
+    ends = np.unique(np.clip([*-peak, 0, *peak, start, np.pi / 2], start, np.pi / 2))
+    total = sum(
+        quad(integrand, *piece, epsabs=0, epsrel=1e-9, limit=200)[0]
+        for piece in itertools.pairwise(ends)
+    )
+    return tangents[0] * tangents[1] * scale * total
+
+
+def make_lights(name: str, n: int, straddling: bool) -> Lights:
+    """Random lights of a class; each class and kind of normal has its own published seed."""
+    rng = np.random.default_rng([SEED, list(CLASSES).index(name), straddling])
+    ratios, centres = CLASSES[name](rng, n)
+    to_world, normals, irradiances = np.zeros((4, 4, n)), np.zeros((3, n)), np.zeros((2, n))
+    solid_angles = np.zeros(n)
+    for i in range(n):
+        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        c, u, w = turn @ centres[:, i], turn[:, 0], ratios[i] * turn[:, 1]
+        axes, tangents = _tangent_ellipse(u, w, c)
+        normal = (_normal_straddling if straddling else _normal_above)(rng, axes, tangents)
+        # The package sees this normal and point in single precision.
+        normal = normal.astype(np.float32).astype(float)
+
+        local = axes.T @ normal
+        qa, qb = 1 + tangents**2
+        area = tangents[0] * tangents[1]
+        if straddling:
+            irradiances[:, i] = [_irradiance_above(side * local, tangents) for side in (1, -1)]
+        else:
+            irradiances[0, i] = np.pi * area / np.sqrt(qa * qb) * local[2]
+        solid_angles[i] = 4 / 3 * area * elliprj(0, qa, qb, 1)
+        normals[:, i] = normal
+        to_world[:3, :, i] = np.stack([u, w, turn[:, 2], c], axis=1)
+        to_world[3, 3, i] = 1
+    return Lights(to_world, normals, solid_angles, irradiances)
+
+
+# ---- Accuracy ----------------------------------------------------------------------------------
+
+
+class Draws:
+    """One fine set of draws for every light of a class, side by side."""
+
+    def __init__(self, lights: Lights, samples: int):
+        n = lights.solid_angle.size
+        self.lights, self.samples = lights, samples
+        to_world = mi.Matrix4d(
+            [[mi.Float64(lights.to_world[row, k]) for k in range(4)] for row in range(4)]
+        )
+        index = dr.arange(mi.UInt32, n * samples)
+        light, sample = index // samples, index % samples
+        self.ellipse = dr.gather(planar.Ellipse, planar.from_transform(to_world), light)
+        self.normal = dr.gather(mi.Normal3f, mi.Normal3f(lights.normal.astype(np.float32)), light)
+        # Hammersley's points
+        self.u = mi.Point2f(
+            (mi.Float(sample) + 0.5) / samples,
+            mi.Float(dr.brev(sample)) * 2.0**-32 + 0.5 / samples,
+        )
+
+    def per_light(self, op: dr.ReduceOp, value) -> np.ndarray:
+        """Reduce over the draws of each light."""
+        return dr.block_reduce(op, mi.Float64(value), self.samples).numpy()
+
+    def cosine(self, direction: mi.Vector3f) -> mi.Float:
+        """Cosine at the surface of a direction in the light's frame, negative below it."""
+        return dr.dot(direction, self.ellipse.to_light(self.normal))
+
+
+def weight_moments(strategy, draws: Draws, heavy_tailed: bool) -> dict[str, np.ndarray]:
+    """What a strategy's weights do on each light; the first axis is the visible side.
+
+    Returns
+    -------
+    dict
+        ``variance``: relative variance; ``largest``: largest weight over mean; ``bias``: mean over
+        irradiance, less one; ``wasted``: fraction of draws without contribution; ``uniformity``:
+        least and largest density times solid angle, over the whole light.
+    """
+    mean_of, least_of, most_of = (
+        lambda value, op=op: draws.per_light(op, value)
+        for op in (dr.ReduceOp.Add, dr.ReduceOp.Min, dr.ReduceOp.Max)
+    )
+    record = strategy.prepare(draws.ellipse, mi.Point3f(0), draws.normal)
+    direction, pdf, valid = strategy.sample(record, draws.u)
+    cosine = dr.select(valid & (pdf > 0), draws.cosine(direction), 0)
+
+    even = CONTENDERS[UNIFORM]
+    even_record = even.prepare(draws.ellipse, mi.Point3f(0), draws.normal)
+    even_direction, even_pdf, _ = even.sample(even_record, draws.u)
+    even_cosine = draws.cosine(even_direction)
+    pdf_there = strategy.pdf(record, even_direction)
+    dr.eval(cosine, pdf, even_cosine, even_pdf, pdf_there)  # Once for all reductions below
+
+    solid_angle = draws.lights.solid_angle
+    result = {"uniformity": np.stack([least_of(pdf_there), most_of(pdf_there)]) * solid_angle}
+    sides = {key: [] for key in ("variance", "largest", "bias", "wasted")}
+    for side, irradiance in zip((1, -1), draws.lights.irradiance, strict=True):
+        f = dr.maximum(side * cosine, 0)
+        w = dr.select(f > 0, f / pdf, 0)
+        even_f = dr.maximum(side * even_cosine, 0)
+        there = dr.select(even_f > 0, even_f / pdf_there, 0)
+        mean = mean_of(w) / draws.samples
+        if heavy_tailed:
+            mean_square = mean_of(mi.Float64(even_f) * there / even_pdf) / draws.samples
+            expected = irradiance
+        else:
+            mean_square = mean_of(dr.square(mi.Float64(w))) / draws.samples
+            expected = mean
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sides["variance"].append(mean_square / expected**2 - 1)
+            largest = most_of(w)
+            if heavy_tailed:
+                largest = np.maximum(largest, most_of(there))
+            sides["largest"].append(largest / irradiance)
+            sides["bias"].append(mean / irradiance - 1)
+        sides["wasted"].append(1 - mean_of(dr.select(w > 0, 1, 0)) / draws.samples)
+    return result | {key: np.stack(value) for key, value in sides.items()}
+
+
+def density_agreement(strategy, draws: Draws) -> np.ndarray:
+    """Error of the density recomputed from the single-precision world direction of a draw."""
+    record = strategy.prepare(draws.ellipse, mi.Point3f(0), draws.normal)
+    direction, pdf, valid = strategy.sample(record, draws.u)
+    world = draws.ellipse.to_world(direction)
+    dr.eval(world)
+    again = strategy.pdf(record, draws.ellipse.to_light(world))
+    return dr.select(valid, dr.abs(again / pdf - 1), 0).numpy()
+
+
+def _rounded(value):
+    """Four significant digits: what the measurement is worth."""
+    if np.ndim(value):
+        return [_rounded(v) for v in value]
+    return float(f"{float(value):.4g}")
+
+
+def summarise(parts: list[dict]) -> dict:
+    """Statistics over the lights of one row of the table, from the parts that it pools."""
+    pooled = {key: np.concatenate([p[key] for p in parts], axis=-1) for key in parts[0]}
+    straddling = bool(np.isfinite(pooled["bias"][1]).any())
+    variance = pooled["variance"]
+    summary = {
+        "variance_mean": variance[0].mean(),
+        "variance_95": np.quantile(variance[0], 0.95),
+        "largest_weight": pooled["largest"][0].max(),
+        "bias": np.abs(pooled["bias"][0]).max(),
+        "wasted": pooled["wasted"][0].mean(),
+        "uniformity": [pooled["uniformity"][0].min(), pooled["uniformity"][1].max()],
+        "agreement_99": np.quantile(pooled["agreement"], 0.99),
+        "agreement_max": pooled["agreement"].max(),
+    }
+    if straddling and np.isfinite(variance).all():
+        either = variance.mean(axis=0)
+        summary |= {
+            "either_side_mean": either.mean(),
+            "either_side_95": np.quantile(variance, 0.95),
+            "either_side_largest_weight": pooled["largest"].max(),
+        }
+    return {key: _rounded(value) for key, value in summary.items()}
+
+
+def measure_accuracy(lights: int, samples: int) -> dict:
+    """Rows of the table: per strategy and class, then the straddling lights of each class."""
+    rows = {name: {} for name in CONTENDERS}
+    for straddling in (False, True):
+        parts = {name: {} for name in CONTENDERS}
+        for class_name in CLASSES:
+            population = make_lights(class_name, lights, straddling)
+            fine, coarse = Draws(population, samples), Draws(population, samples // 16)
+            for name, strategy in CONTENDERS.items():
+                parts[name][class_name] = weight_moments(strategy, fine, name in HEAVY_TAILED) | {
+                    "agreement": density_agreement(strategy, coarse)
+                }
+        for name, of_class in parts.items():
+            if straddling:
+                rows[name][STRADDLING] = summarise([of_class[c] for c in STRADDLING_CLASSES])
+            rows[name] |= {
+                f"{STRADDLING}, {c}" if straddling else c: summarise([part])
+                for c, part in of_class.items()
+            }
+    return rows
+
+
+# ---- Cost --------------------------------------------------------------------------------------
+
+SAMPLES_TIMED = 10_000_000
+# Steps of additive recurrences for the inputs of a kernel, powers of the plastic number's kin of
+# dimension 8: they cost one multiplication each, so that little else than the strategy is timed.
+STEPS = [1.0850702 ** -(k + 1) for k in range(8)]
+
+
+def _varying_inputs():
+    """Reference points about the light, normals and random numbers, different in every sample."""
+    index = dr.arange(mi.UInt32, SAMPLES_TIMED)
+    r = [mi.Float((index * mi.UInt32(int(s * 2**32) | 1)) >> 8) * 2.0**-24 for s in STEPS]
+    reference = mi.Point3f(4 * r[0] - 2, 4 * r[1] - 2, 2 * r[2] - 1)
+    normal = dr.normalize(mi.Normal3f(r[3] - 0.5, r[4] - 0.5, r[5] + 0.1))
+    return reference, normal, mi.Point2f(r[6], r[7])
+
+
+def _unit_kernel(light, reference, normal, u):
+    """One unit of cost: a point on the light through the concentric disk, direction, density."""
+    p = mi.warp.square_to_uniform_disk_concentric(u)
+    to_light = light.point(p.x, p.y) - reference
+    distance2 = dr.squared_norm(to_light)
+    direction = to_light * dr.rsqrt(distance2)
+    pdf = distance2 / (light.area * dr.abs(dr.dot(direction, mi.Vector3f(light.normal))))
+    return dr.maximum(dr.dot(direction, normal), 0) / pdf
+
+
+def _sample_kernel(strategy, light, reference, normal, u):
+    record = strategy.prepare(light, reference, normal)
+    direction, pdf, valid = strategy.sample(record, u)
+    weight = dr.maximum(dr.dot(direction, light.to_light(normal)), 0) / pdf
+    return dr.select(valid & (pdf > 0), weight, 0)
+
+
+def _density_kernel(strategy, light, reference, normal, u):
+    direction = light.to_light(mi.warp.square_to_uniform_sphere(u))
+    return strategy.pdf(strategy.prepare(light, reference, normal), direction)
+
+
+def measure_cost(rounds: int) -> tuple[dict, float]:
+    """Median cost of each strategy in units, and the nanoseconds per sample of a unit.
+
+    The kernels take turns, each beside a unit kernel; the ratio is that of neighbours.
+    """
+    light = planar.from_transform(
+        mi.ScalarTransform4d().translate([0.3, 0, 2]).rotate([1, 2, 3], 40).scale([1.5, 0.4, 1])
+    )
+    dr.make_opaque(light)
+
+    def nanoseconds(kernel, *args):
+        dr.kernel_history_clear()
+        dr.eval(dr.sum(kernel(*args, light, *_varying_inputs()), mode="symbolic"))
+        dr.sync_thread()
+        times = [k["execution_time"] for k in dr.kernel_history([dr.KernelType.JIT])]
+        return 1e6 * sum(times) / SAMPLES_TIMED
+
+    kernels = [
+        (name, kind, kernel, strategy)
+        for name, strategy in CONTENDERS.items()
+        for kind, kernel in (("sample", _sample_kernel), ("density", _density_kernel))
+    ]
+    ratios = {(name, kind): [] for name, kind, *_ in kernels}
+    units = []
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        for _, _, kernel, strategy in kernels:  # Compile
+            nanoseconds(kernel, strategy)
+        for _ in range(rounds):
+            for name, kind, kernel, strategy in kernels:
+                units.append(nanoseconds(_unit_kernel))
+                ratios[name, kind].append(nanoseconds(kernel, strategy) / units[-1])
+    cost = {
+        name: {kind: _rounded(np.median(ratios[name, kind])) for kind in ("sample", "density")}
+        for name in CONTENDERS
+    }
+    return cost, _rounded(np.median(units))
+
+
+# ---- Output ------------------------------------------------------------------------------------
+
+
+def print_table(result: dict) -> None:
+    """The table, one block a class; the lights of the requirement first."""
+    print(f"{result['lights']} lights a class, {result['samples']} draws a light")
+    print(f"\ncost in units of {result['unit_ns']} ns: prepare and sample, prepare and density")
+    for name, cost in result["cost"].items():
+        print(f"  {name:34}{cost['sample']:8.1f}{cost['density']:8.1f}")
+    columns = ("mean", "95 %", "either", "95 %", "largest", "wasted", "least", "most p·Ω")
+    head = "".join(f"{c:>10}" for c in (*columns, "agree 99%", "max", "bias"))
+    for class_name in result["rows"][UNIFORM]:
+        print(f"\n{class_name:36}{head}")
+        for name, rows in result["rows"].items():
+            row = rows[class_name]
+            either = [row.get(f"either_side_{k}", float("nan")) for k in ("mean", "95")]
+            values = [row["variance_mean"], row["variance_95"], *either, row["largest_weight"]]
+            values += [row["wasted"], *row["uniformity"], row["agreement_99"]]
+            values += [row["agreement_max"], row["bias"]]
+            print(f"  {name:34}" + "".join(f"{'-' if v != v else f'{v:.3g}':>10}" for v in values))
+
+
+COLOURS = {
+    "area": "#7f7f7f",
+    "rejection": "#b8860b",
+    "solid_angle": "#0b6fb8",
+    "projected_solid_angle": "#c1272d",
+    ONE_SIDED: "#e8836b",
+    "tangent_disk": "#7a4fa3",
+    "concentric": "#2e8b57",
+}
+PANELS = [
+    ("far", "variance_mean", "far"),
+    ("near", "variance_mean", "near"),
+    ("very near", "variance_mean", "very near"),
+    ("fills hemisphere", "variance_mean", "fills the hemisphere"),
+    ("needle", "variance_mean", "needle"),
+    ("in plane", "variance_mean", "in the light's plane"),
+    (STRADDLING, "variance_mean", "straddling the horizon,\nnormal's side seen"),
+    (STRADDLING, "either_side_mean", "straddling the horizon,\neither side seen"),
+]
+
+
+def _label_positions(values: np.ndarray, gap: float) -> np.ndarray:
+    """Logarithms moved apart to at least a gap, keeping their order and their mean."""
+    order = np.argsort(values)
+    y = np.log10(values[order])
+    for _ in range(200):
+        overlap = np.maximum(gap - np.diff(y), 0)
+        y[:-1] -= overlap / 2
+        y[1:] += overlap / 2
+    placed = np.empty_like(y)
+    placed[order] = y
+    return 10**placed
+
+
+def plot(result: dict, path: Path) -> None:
+    """Cost against mean relative variance, one panel a class."""
+    plt.rcParams |= {"font.family": "DejaVu Sans", "font.size": 8, "svg.fonttype": "none"}
+    figure, axes = plt.subplots(2, 4, figsize=(12, 6.2), sharex=True)
+    for ax, (class_name, key, title) in zip(axes.flat, PANELS, strict=True):
+        names = [n for n in result["rows"] if key in result["rows"][n][class_name]]
+        y = np.array([result["rows"][n][class_name][key] for n in names])
+        low, high = np.log10(y.min()), np.log10(y.max())
+        margin = max(0.12 * (high - low), 0.75 - 0.5 * (high - low), 0.15)
+        label_y = _label_positions(y, 0.055 * (high - low + 2 * margin))
+        for name, value, at in zip(names, y, label_y, strict=True):
+            x = result["cost"][name]["sample"]
+            ax.plot(x, value, "o", ms=6, color=COLOURS[name], mec="white", mew=0.7, zorder=3)
+            ax.plot([x, 34], [value, at], lw=0.5, color=COLOURS[name], alpha=0.6, zorder=1)
+            label = name.replace("projected_solid_angle", "projected")
+            ax.text(36, at, label, color=COLOURS[name], va="center", size=7)
+        ax.set(xscale="log", yscale="log", xlim=(0.8, 30), title=title)
+        ax.set_ylim(10 ** (low - margin), 10 ** (high + margin))
+        ax.set_xticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
+        ax.minorticks_off()
+        ax.grid(color="#dddddd", lw=0.5)
+        ax.spines[["top", "right"]].set_visible(False)
+    for ax in axes[-1]:
+        ax.set_xlabel("cost of a sample (area sampling = 1)")
+    for ax in axes[:, 0]:
+        ax.set_ylabel("relative variance")
+    figure.tight_layout(w_pad=1)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path.with_suffix(".svg"))
+    figure.savefig(path.with_suffix(".png"), dpi=160)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--lights", type=int, default=192, help="per class")
+    parser.add_argument("--samples", type=int, default=16384, help="draws per light, a power of 2")
+    parser.add_argument("--rounds", type=int, default=9, help="repeats of the timing")
+    arguments = parser.parse_args()
+    cost, unit = measure_cost(arguments.rounds)
+    result = {
+        "seed": SEED,
+        "lights": arguments.lights,
+        "samples": arguments.samples,
+        "unit_ns": unit,
+        "cost": cost,
+        "rows": measure_accuracy(arguments.lights, arguments.samples),
+    }
+    print_table(result)
+    (DOCS / "data").mkdir(parents=True, exist_ok=True)
+    (DOCS / "data" / "accuracy.json").write_text(json.dumps(result, indent=1) + "\n")
+    plot(result, DOCS / "images" / "cost_variance")
+
+
+if __name__ == "__main__":
+    main()
