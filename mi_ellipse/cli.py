@@ -91,6 +91,69 @@ def render_command(
     )
 
 
+@app.command("compare")
+def compare_command(
+    scene_file: Annotated[Path, typer.Argument(metavar="SCENE.xml", help="Scene to render.")],
+    sampling: Annotated[
+        str,
+        typer.Option(metavar="NAME,…", help="Strategies; all are compared with the first."),
+    ],
+    spp: Annotated[str, typer.Option(metavar="N,…", help="Samples per pixel.")],
+    reference_spp: Annotated[int, typer.Option(min=2, help="Samples per pixel of the reference.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for all that is made.")
+    ],
+    seeds: Annotated[
+        int, typer.Option(min=1, help="Pictures of each kind, for the error of the errors.")
+    ] = 4,
+    variant: Annotated[str, typer.Option(help="Mitsuba variant.")] = DEFAULT_VARIANT,
+    insets: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--inset",
+            metavar="X,Y,W,H",
+            help="Region to enlarge, in pixels; by default where the strategies differ most.",
+        ),
+    ] = None,
+    definitions: Annotated[
+        list[str] | None,
+        typer.Option("-D", "--define", metavar="NAME=VALUE", help="Value of a scene parameter."),
+    ] = None,
+) -> None:
+    """Compare sampling strategies: errors, times, figures and a report to look at."""
+    parameters = _parse_definitions(definitions or [])
+    counts = _parse_integers("--spp", spp)
+    regions = [tuple(_parse_integers("--inset", inset, 4)) for inset in insets or []] or None
+
+    with _one_line_errors(), _interrupt_ends_process():
+        # Not with the other imports: drawing would make every command slow to start.
+        from .study import compare, figures, report
+
+        mi.set_variant(variant)
+        output.mkdir(parents=True, exist_ok=True)
+        console = Console(stderr=True)
+        with _steps(console) as progress:
+            strategies = [name.strip() for name in sampling.split(",")]
+            comparison = compare(
+                scene_file,
+                output,
+                strategies,
+                counts,
+                reference_spp,
+                seeds,
+                parameters,
+                progress,
+                console.print,
+            )
+        console.print("Drawing the figures and the report")
+        figures.write_figures(comparison, regions)
+        page = report.write_report(comparison, regions)
+
+    for warning in comparison.warnings():
+        console.print(f"WARNING: {warning}", style="bold red")
+    print(f"{page}, {output / 'results.csv'}, {output / 'results.json'}, {output / 'figures'}")
+
+
 @app.command("doctor")
 def doctor_command() -> None:
     """Print versions, the LLVM in use and what can run; fail if llvm_ad_rgb cannot."""
@@ -158,6 +221,27 @@ def _progress_bar(console: Console, passes: int) -> Iterator[Callable[[int, int]
 
 
 @contextmanager
+def _steps(console: Console) -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar with the remaining time for each step of a longer work."""
+    columns = [
+        TextColumn("{task.description:<13}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %,"),
+    ]
+    columns += [TimeRemainingColumn(), TextColumn("left")]
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
+        console.show_cursor(True)
+        tasks = {}
+
+        def report(step: str, done: int, total: int) -> None:
+            if step not in tasks:
+                tasks[step] = bars.add_task(step, total=total)
+            bars.update(tasks[step], completed=done, total=total)
+
+        yield report
+
+
+@contextmanager
 def _interrupt_ends_process() -> Iterator[None]:
     """
     Let Ctrl-C end the process at once.
@@ -190,6 +274,15 @@ def _parse_definitions(definitions: list[str]) -> dict[str, str]:
             raise typer.BadParameter(f"-D takes NAME=VALUE, not {definition!r}")
         parameters[name] = value
     return parameters
+
+
+def _parse_integers(option: str, text: str, length: int | None = None) -> list[int]:
+    """Return positive or zero integers from a list with commas."""
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdecimal() for part in parts) or length not in (None, len(parts)):
+        wanted = f"{length} integers" if length else "integers"
+        raise typer.BadParameter(f"{option} takes {wanted} with commas between, not {text!r}")
+    return [int(part) for part in parts]
 
 
 def _check_writable(path: Path) -> None:

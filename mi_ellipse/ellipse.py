@@ -39,7 +39,7 @@ class Ellipse:
     @property
     def ly(self) -> mi.Float:
         """Length of the shorter semi-axis."""
-        return self.lx * self.ratio
+        return self.lx * mi.Float(self.ratio)
 
     @property
     def area(self) -> mi.Float:
@@ -62,13 +62,13 @@ class Ellipse:
 
     def to_light(self, v: mi.Vector3f) -> mi.Vector3f:
         """Components of a world-space vector along ``(ex, ey, normal)``."""
-        return mi.Vector3f(
-            dr.dot(v, self.ex), dr.dot(v, self.ey), dr.dot(v, mi.Vector3f(self.normal))
-        )
+        height = dr.dot(mi.Vector3d(v), self.normal)  # Cancels at grazing angles
+        return mi.Vector3f(dr.dot(v, mi.Vector3f(self.ex)), dr.dot(v, mi.Vector3f(self.ey)), height)
 
     def to_world(self, v: mi.Vector3f) -> mi.Vector3f:
         """World-space vector from its components along ``(ex, ey, normal)``."""
-        return self.ex * v.x + self.ey * v.y + mi.Vector3f(self.normal) * v.z
+        ex, ey, normal = (mi.Vector3f(axis) for axis in (self.ex, self.ey, self.normal))
+        return ex * v.x + ey * v.y + normal * v.z
 
     def point_from_direction(
         self, centre: mi.Vector3f, direction: mi.Vector3f
@@ -102,16 +102,13 @@ class Ellipse:
         b_clamped = dr.fmax(dr.fmin(b, half_chord), -half_chord)
         a = dr.select(near, a, a_clamped)
         b = dr.select(near, b, b_clamped)
-        distance = dr.select(
-            near,
-            t,
-            dr.norm(mi.Vector3f(centre.x + a, dr.fma(b, self.ratio, centre.y), centre.z)),
-        )
+        y = dr.fma(b, mi.Float(self.ratio), centre.y)
+        distance = dr.select(near, t, dr.norm(mi.Vector3f(centre.x + a, y, centre.z)))
         return a, b, distance * self.lx
 
     def point(self, a: mi.Float, b: mi.Float) -> mi.Point3f:
         """World-space point with the principal coordinates ``(a, b)``."""
-        return mi.Point3f(self.centre) + self.ex * (a * self.lx) + self.ey * (b * self.ly)
+        return mi.Point3f(self.centre) + self.to_world(mi.Vector3f(a * self.lx, b * self.ly, 0))
 
     def uv(self, a: mi.Float, b: mi.Float) -> mi.Point2f:
         """The (radius, angle / 2π) parameterisation of Mitsuba's `disk` at ``(a, b)``."""

@@ -13,6 +13,12 @@ from .sampling.textured import Textured, follows_texture
 RESOLUTION = 2**-21
 
 
+MISPLACED = (
+    "ellipticalarea: the light is attached to {} and gives no light; put it into a shape of type "
+    '"ellipse" or "disk"'
+)
+
+
 def define() -> type:
     """Class of the plugin under the current variant: `mi.Emitter` is another base in each."""
 
@@ -80,25 +86,23 @@ def define() -> type:
             shape = self.get_shape()
             if shape is None or shape.class_name() != "Disk":
                 name = "no shape" if shape is None else f"a {shape.class_name()}"
-                self._misplaced = (
-                    f"ellipticalarea: the light is attached to {name} and gives no light; put it "
-                    'into a shape of type "ellipse" or "disk"'
-                )
+                self._misplaced = MISPLACED.format(name)
                 raise ValueError(self._misplaced)
             self.ellipse = ellipse.from_transform(dr.detach(mi.traverse(shape)["to_world"]))
             dr.make_opaque(self.ellipse)
 
         def _attached(self) -> ellipse.Ellipse | None:
-            """Geometry of the light; None for one that has already raised an error.
+            """Geometry of the light; None without a shape and for one that has raised its error.
 
             Dr.Jit traces every living emitter, also that of a scene which the traceback of its
-            error keeps alive: it must not fail the renders after it, nor touch a shape that may
-            be gone.
+            error keeps alive, and one that has no shape yet: those must not fail the renders of
+            other scenes, nor touch a shape that may be gone.
             """
-            if self._misplaced:
-                mi.Log(mi.LogLevel.Warn, self._misplaced)
-            elif self.ellipse is None:  # A plain disk gives no earlier opportunity
-                self.attach()
+            if self.ellipse is None:  # A plain disk gives no earlier opportunity
+                if dr.is_jit_v(mi.Float) and (self._misplaced or self.get_shape() is None):
+                    mi.Log(mi.LogLevel.Warn, self._misplaced or MISPLACED.format("no shape"))
+                else:
+                    self.attach()
             return self.ellipse
 
         # ---- Directions ------------------------------------------------------------------------
@@ -161,6 +165,8 @@ def define() -> type:
             return mi.depolarizer(dr.select(lit, self.radiance.eval(si, lit), 0))
 
         def sample_position(self, time, sample, active=True):
+            if self._attached() is None:
+                return dr.zeros(mi.PositionSample3f), mi.Float(0)
             shape = self.get_shape()
             if self.follows_texture:
                 uv, pdf = self.radiance.sample_position(sample, active)
@@ -174,6 +180,8 @@ def define() -> type:
             return ps, weight
 
         def pdf_position(self, ps, active=True):
+            if self._attached() is None:
+                return mi.Float(0)
             shape = self.get_shape()
             if not self.follows_texture:
                 return shape.pdf_position(ps, active)

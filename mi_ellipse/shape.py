@@ -30,7 +30,7 @@ def create(props: mi.Properties) -> mi.Shape:
     disk_props.set_plugin_name("disk")
     for name in ("semi_axis_x", "semi_axis_y"):
         if name in disk_props:
-            disk_props.remove_property(name)
+            del disk_props[name]
     disk_props["to_world"] = to_world @ mi.ScalarAffineTransform4d().scale([*semi_axes, 1])
     for name, value in disk_props.objects(mark_queried=False):
         # Mitsuba merges equal Python emitters of a dictionary into one object.
@@ -51,6 +51,8 @@ def create(props: mi.Properties) -> mi.Shape:
 
 def _semi_axis(props: mi.Properties, name: str) -> float:
     value = props.get(name, 1.0)
+    if not isinstance(value, float | int):
+        raise ValueError(f'ellipse: {name}="{value}" must be a number')
     if not (math.isfinite(value) and value > 0):
         raise ValueError(f"ellipse: {name}={value:g} must be positive and finite")
     return value

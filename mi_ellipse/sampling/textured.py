@@ -106,8 +106,8 @@ class Textured:
 def follows_texture(texture: mi.Texture) -> bool:
     """Tell whether a texture can draw positions by its brightness, with their exact density.
 
-    Only bitmaps do, unless they are black, and under a `to_uv` other than the identity their
-    density is that of the bitmap and not that of the draws.
+    Only bitmaps do, unless they are black. Under a `to_uv` other than the identity they draw as if
+    there were none, and miss what it moves to where they are black.
     """
     if not texture.class_name().startswith("BitmapTexture"):
         return False

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import flip_evaluator
 import numpy as np
 
 # A few pixels that a path hit by rare chance can outweigh all others in a mean of squares.
@@ -15,16 +16,18 @@ TRIMMED_FRACTION = 0.001
 # does not change with the scene's brightness.
 RELATIVE_EPSILON = 0.01
 
+# Metrics and how to call them in figures and reports.
+LABELS = {
+    "mse": "MSE",
+    "mse_trimmed": "trimmed MSE",
+    "rmse": "RMSE",
+    "rmse_trimmed": "trimmed RMSE",
+    "relative_mse": "relative MSE",
+    "relative_mse_trimmed": "trimmed relative MSE",
+    "flip": "HDR-FLIP",
+}
+METRICS = tuple(LABELS)
 SQUARED = ("mse", "mse_trimmed", "relative_mse", "relative_mse_trimmed")
-METRICS = (
-    "mse",
-    "mse_trimmed",
-    "rmse",
-    "rmse_trimmed",
-    "relative_mse",
-    "relative_mse_trimmed",
-    "flip",
-)
 
 
 @dataclass(frozen=True)
@@ -72,11 +75,6 @@ def flip(image: np.ndarray, reference: np.ndarray) -> float:
     P. Andersson et al., "Visualizing errors in rendered high dynamic range images", Eurographics
     short papers 2021; at 67 pixels per degree, its exposures chosen from the reference.
     """
-    try:
-        import flip_evaluator
-    except ImportError as error:
-        raise ImportError("HDR-FLIP needs flip-evaluator: pip install mi_ellipse[study]") from error
-
     # FLIP is defined for light, which is not negative; spectral noise of a wide gamut can be.
     test, truth = (
         np.ascontiguousarray(np.maximum(picture, 0), dtype=np.float32)
@@ -92,7 +90,7 @@ def estimate(values: Sequence[float]) -> Estimate:
 
 
 def fit_slope(x: Sequence[float], y: Sequence[float]) -> float:
-    """Return the exponent b of the power law y ∝ x^b that fits best (least squares of logarithms)."""
+    """Return the exponent b of the power law y ∝ x^b, fitted by least squares of logarithms."""
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
 
 

@@ -1,0 +1,183 @@
+"""The report: one file that needs nothing else, and works in a browser."""
+
+import html
+import json
+import os
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mi_ellipse.study import compare
+from mi_ellipse.study.report import write_report
+
+WIDTH, HEIGHT = 24, 16
+STRATEGIES = ("area", "solid_angle")
+
+SCENE = f"""
+<scene version="3.0.0">
+    <integrator type="path"><integer name="max_depth" value="2"/></integrator>
+    <sensor type="perspective">
+        <transform name="to_world"><lookat origin="0,-4,3" target="0,0,0" up="0,0,1"/></transform>
+        <film type="hdrfilm">
+            <integer name="width" value="{WIDTH}"/>
+            <integer name="height" value="{HEIGHT}"/>
+            <rfilter type="box"/>
+        </film>
+    </sensor>
+    <shape type="rectangle"><transform name="to_world"><scale value="3"/></transform></shape>
+    <shape type="ellipse">
+        <transform name="to_world"><rotate x="1" angle="180"/><translate z="1"/></transform>
+        <emitter type="ellipticalarea"/>
+    </shape>
+</scene>
+"""
+
+CHROMIUM = os.environ.get("CHROMIUM") or next(
+    filter(None, map(shutil.which, ("chromium", "chromium-headless-shell", "google-chrome"))), None
+)
+
+# Runs in the page: gathers errors, reads the picture, switches to the second one, reads that.
+PROBE = """<script>
+const problems = [];
+window.addEventListener("error", event => problems.push(String(event.message)));
+const original = console.error;
+console.error = (...words) => { problems.push(words.join(" ")); original(...words); };
+
+function shown(book) {
+    const canvas = [...book.querySelectorAll("canvas")].find(one => one.offsetParent !== null);
+    const copy = document.createElement("canvas");
+    [copy.width, copy.height] = [canvas.width, canvas.height];
+    const context = copy.getContext("2d");
+    context.drawImage(canvas, 0, 0);
+    return Array.from(context.getImageData(0, 0, copy.width, copy.height).data);
+}
+
+window.addEventListener("load", () => setTimeout(() => {
+    const book = document.querySelector("[id^=flipbook-]");
+    const first = shown(book);
+    const names = [...book.querySelectorAll("button")].slice(0, 3);
+    names[1].click();
+    setTimeout(() => {
+        const output = document.createElement("pre");
+        output.id = "probe";
+        output.textContent = JSON.stringify({
+            problems, first, second: shown(book), names: names.map(one => one.textContent),
+        });
+        document.body.append(output);
+    }, 500);
+}, 1500));
+</script>"""
+
+
+@pytest.fixture(scope="module")
+def comparison(tmp_path_factory):
+    mi.set_variant("llvm_ad_rgb")
+    folder = tmp_path_factory.mktemp("report")
+    (folder / "scene.xml").write_text(SCENE)
+    result = compare(
+        folder / "scene.xml", folder / "out", STRATEGIES, (2, 8), 64, 2, say=lambda text: None
+    )
+    write_report(result)
+    return result
+
+
+@pytest.fixture
+def text(comparison):
+    return (comparison.folder / "report.html").read_text(encoding="utf-8")
+
+
+class Page(HTMLParser):
+    """Elements that would load something, and the contents of table cells."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.sources, self.cells, self.open = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        attributes = dict(attributes)
+        for name in ("src", "href", "xlink:href"):
+            if name in attributes and not (tag == "a" or attributes[name].startswith("#")):
+                self.sources.append(attributes[name])
+        self.in_cell = tag in ("td", "span") and (tag == "td" or self.in_cell)
+
+    in_cell = False
+
+    def handle_data(self, data):
+        if self.in_cell:
+            self.cells.append(data)
+
+    def handle_endtag(self, tag):
+        if tag == "td":
+            self.in_cell = False
+
+
+def test_report_is_self_contained(text):
+    sources = Page(text).sources
+    assert sources
+    assert all(source.startswith("data:") for source in sources)
+    assert "@import" not in text
+    assert "url(http" not in text
+
+
+def test_report_has_every_picture_at_full_size(text):
+    books = re.findall(r"flipbook\.MakeFlipBook\((\{.*?\})\);", text)
+    assert len(books) == 3  # two counts, and one at equal time
+    for book in map(json.loads, books):
+        assert (book["width"], book["height"]) == (WIDTH, HEIGHT)
+        assert book["names"][0] == "reference"
+        assert [name.split(",")[0] for name in book["names"][1:]] == list(STRATEGIES)
+        assert len(set(book["dataUrls"])) == 3
+
+
+def test_numbers_are_those_of_the_comparison(comparison, text):
+    cells = Page(text).cells
+    for measurement in comparison.measurements:
+        error = measurement.errors["mse_trimmed"]
+        assert f"{error.mean:.3g} ± {error.standard_error:.1g}" in cells
+        assert f"{measurement.seconds:.3f}" in cells
+    assert f"{comparison.reference.errors['mse']:.3g}" in cells
+    assert html.escape(comparison.warnings()[0]) in text
+
+
+def test_curves_are_drawn_inline(text):
+    assert text.count("<svg") >= 9
+    identifiers = re.findall(r'<clipPath id="([^"]+)"', text)
+    assert len(identifiers) == len(set(identifiers)) > 0
+
+
+@pytest.mark.skipif(
+    CHROMIUM is None, reason="no Chromium found; the CHROMIUM variable may name one"
+)
+def test_report_works_in_a_browser(comparison, text, tmp_path):
+    page = tmp_path / "report.html"
+    page.write_text(text.replace("<head>", f"<head>{PROBE}", 1), encoding="utf-8")
+    process = subprocess.run(
+        [
+            CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
+            "--no-first-run", "--disable-background-networking", "--disable-component-update",
+            "--disable-sync", f"--user-data-dir={tmp_path / 'profile'}",
+            "--virtual-time-budget=10000", "--dump-dom", page.as_uri(),
+        ],
+        capture_output=True, text=True, timeout=60, check=True,
+    )  # fmt: skip
+    probe = re.search(r'<pre id="probe">(.*?)</pre>', process.stdout, re.DOTALL)
+    assert probe, process.stderr
+    result = json.loads(html.unescape(probe.group(1)))
+    assert result["problems"] == []
+    assert result["names"][1].endswith("area, 2 spp")
+
+    measurement = comparison.find("equal samples", "area", 2)
+    expected = comparison.reference_image(), comparison.image(measurement)
+    for pixels, image in zip((result["first"], result["second"]), expected, strict=True):
+        linear = np.clip(image * 2.0**comparison.exposure, 0, 1)
+        srgb = np.where(linear < 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+        shown = np.array(pixels).reshape(HEIGHT, WIDTH, 4)[..., :3]
+        # The copies in the page have 8 bits a channel and a common exponent.
+        assert np.abs(shown - 255 * srgb).mean() < 2
+    assert result["first"] != result["second"]
