@@ -1,0 +1,42 @@
+"""Run the benchmarks: ``python -m benchmarks [NAME]… [--pairs N]``; all of them by default."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import mi_ellipse  # noqa: F401  before mitsuba: it chooses the LLVM
+import mitsuba as mi
+
+DATA = Path(__file__).parent.parent / "docs" / "data"
+NAMES = ("accuracy", "render_time", "error", "lamps", "first_frame")
+
+
+def main() -> None:
+    """Measure, print, and keep the figures in `docs/data`."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("names", nargs="*", choices=NAMES, default=[], metavar="NAME",
+                        help=f"{', '.join(NAMES)}; all by default")  # fmt: skip
+    parser.add_argument("--pairs", type=int, help="timed pairs of render_time and error")
+    arguments = parser.parse_args()
+
+    mi.set_variant("llvm_ad_rgb")
+    from . import accuracy, error, first_frame, harness, lamps, render_time
+
+    modules = (accuracy, render_time, error, lamps, first_frame)
+    runs = {module.__name__.split(".")[-1]: module for module in modules}
+    for name in arguments.names or NAMES:
+        print(f"---- {name}: {harness.machine()} ----", flush=True)
+        if name == "accuracy":
+            accuracy.main()
+            continue
+        timed = name in ("render_time", "error") and arguments.pairs
+        results = runs[name].run(**({"pairs": arguments.pairs} if timed else {}))
+        DATA.mkdir(parents=True, exist_ok=True)
+        results = {"machine": harness.machine(), name: results}
+        (DATA / f"{name}.json").write_text(json.dumps(results, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

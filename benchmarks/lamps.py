@@ -1,0 +1,74 @@
+"""What many lamps cost: operations, callables, tracing and execution, against `disk` + `area`."""
+
+from __future__ import annotations
+
+import re
+import time
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .scenes import BUILT_IN, PATH, lamp
+
+COUNTS = (1, 10, 100, 1000)
+KINDS = (BUILT_IN, "area", "solid_angle", "projected_solid_angle")
+
+
+def many_lamps(kind: str, count: int) -> mi.Scene:
+    """Lamps of different sizes and tilts in a grid above a floor."""
+    rng = np.random.default_rng(0)
+    side = int(np.ceil(np.sqrt(count)))
+    shapes = {}
+    for k in range(count):
+        x, y = (k % side - 0.5 * side) / side * 6, (k // side - 0.5 * side) / side * 6
+        size, tilt = rng.uniform(0.2, 1.0) / side, rng.uniform(120, 240)
+        to_world = mi.ScalarTransform4f().translate([x, y, 1]).rotate([0, 1, 0], tilt).scale(size)
+        shapes[f"lamp{k}"] = lamp(kind, to_world)
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": PATH,
+            "sensor": {
+                "type": "perspective",
+                "to_world": mi.ScalarTransform4f().look_at([0, -8, 5], [0, 0, 0], [0, 0, 1]),
+                "film": {"type": "hdrfilm", "width": 128, "height": 128},
+            },
+            "floor": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(4)},
+            **shapes,
+        }
+    )
+
+
+def measure(kind: str, count: int, repeats: int = 7) -> dict:
+    """Kernel size, and medians of the time to trace and to execute a render."""
+    scene = many_lamps(kind, count)
+    mi.render(scene, spp=4, seed=0).numpy()
+    tracing, execution = [], []
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        for seed in range(1, repeats + 1):
+            dr.kernel_history_clear()
+            start = time.perf_counter()
+            image = mi.render(scene, spp=64, seed=seed)
+            tracing.append(time.perf_counter() - start)
+            image.numpy()
+            kernels = [k for k in dr.kernel_history() if "operation_count" in k]
+            largest = max(kernels, key=lambda kernel: kernel["operation_count"])
+            execution.append(largest["execution_time"])
+    ir = largest["ir"].getvalue() if hasattr(largest["ir"], "getvalue") else str(largest["ir"])
+    return {
+        "operations": largest["operation_count"],
+        "callables": len(set(re.findall(r"^define .*@(func_\w+)", ir, re.MULTILINE))),
+        "tracing_ms": 1e3 * float(np.median(tracing)),
+        "execution_ms": float(np.median(execution)),
+    }
+
+
+def run() -> dict:
+    """Table over numbers and kinds of lamps."""
+    results = {}
+    for count in COUNTS:
+        for kind in KINDS:
+            results.setdefault(kind, {})[count] = row = measure(kind, count)
+            print(f"{count:>5} {kind:<24}{row}")
+    return results
