@@ -29,15 +29,13 @@ mi.set_variant("llvm_ad_rgb")
 
 from mi_ellipse import ellipse as planar  # noqa: E402
 from mi_ellipse.sampling import STRATEGIES  # noqa: E402
-from mi_ellipse.sampling.projected_solid_angle import ProjectedSolidAngle  # noqa: E402
 
 SEED = 2017
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 
-ONE_SIDED = "projected_solid_angle, one-sided"
+ONE_SIDED = "projected_solid_angle_one_sided"
 UNIFORM = "solid_angle"
 CONTENDERS = {name: strategy() for name, strategy in STRATEGIES.items()}
-CONTENDERS[ONE_SIDED] = ProjectedSolidAngle(one_sided=True)
 
 # Their weights have no bound, and a peak that no set of draws resolves: their second moment is
 # integrated over directions drawn by `solid_angle` instead, ∫ f²/p dω, where it is smooth.

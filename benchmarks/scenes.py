@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import mitsuba as mi
-
 import mi_ellipse
+import mitsuba as mi
 from mi_ellipse.sampling import STRATEGIES
 from mi_ellipse.scene import load_scene
 
@@ -24,7 +23,9 @@ LIGHT_SAMPLES = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}
 def floor_ball_lamp(
     kind: str, integrator: dict = PATH, height: float = 0.6, size: int = 320
 ) -> mi.Scene:
-    """A floor, a ball and an ellipse tilted by 30° about its longer axis, the bare scene where sampling costs most.
+    """A floor, a ball and an ellipse: the bare scene in which sampling costs most.
+
+    The ellipse is tilted by 30° about its longer axis.
 
     Parameters
     ----------

@@ -1,10 +1,9 @@
 """Variants, and the scenes and lights that many tests use."""
 
+import mi_ellipse  # noqa: F401
 import mitsuba as mi
 import numpy as np
 import pytest
-
-import mi_ellipse  # noqa: F401
 from mi_ellipse import ellipse
 
 

@@ -10,16 +10,15 @@ import sys
 import time
 
 import drjit as dr
+import mi_ellipse
 import mitsuba as mi
 import numpy as np
 import pytest
-from typer.testing import CliRunner
-
-import mi_ellipse
 from mi_ellipse import cli, doctor, render
 from mi_ellipse.errors import innermost_cause
 from mi_ellipse.sampling import STRATEGIES
 from mi_ellipse.scene import load_scene
+from typer.testing import CliRunner
 
 WIDTH, HEIGHT = 16, 12
 

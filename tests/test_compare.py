@@ -10,14 +10,13 @@ from types import SimpleNamespace
 import mitsuba as mi
 import numpy as np
 import pytest
-from typer.testing import CliRunner
-
 from mi_ellipse import cli, render
 from mi_ellipse.study import compare, figures, pictures
 from mi_ellipse.study.compare import match_samples
 from mi_ellipse.study.pictures import Gallery, Task
 from mi_ellipse.study.reference import render_reference
 from mi_ellipse.study.results import EQUAL_SAMPLES, EQUAL_TIME
+from typer.testing import CliRunner
 
 WIDTH, HEIGHT = 24, 16
 STRATEGIES = ("area", "solid_angle")

@@ -8,7 +8,6 @@ import pytest
 from conftest import ellipses
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from mi_ellipse import cone
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")

@@ -6,10 +6,9 @@ import numpy as np
 import oracle
 import pytest
 from conftest import ellipses, lamp
-from oracle import MIRROR, SHEAR, rotation, translation
-
 from mi_ellipse import ellipse
 from mi_ellipse.sampling import STRATEGIES
+from oracle import MIRROR, SHEAR, rotation, translation
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 

@@ -10,11 +10,10 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from conftest import floor_and, lamp
-from oracle import MIRROR, SHEAR, rotation, translation
-from scipy import stats
-
 from mi_ellipse import ellipse
 from mi_ellipse.sampling import STRATEGIES
+from oracle import MIRROR, SHEAR, rotation, translation
+from scipy import stats
 
 DOWN = rotation([1, 0, 0], 180)
 LAMP = translation(0, 0, 0.8) @ rotation([0.3, 1, 0], 25) @ DOWN @ SHEAR @ np.diag([0.8, 0.3, 1, 1])

@@ -10,7 +10,6 @@ import sys
 from importlib import metadata
 
 import pytest
-
 from mi_ellipse import llvm
 
 BUNDLED = llvm.bundled_library()

@@ -1,11 +1,10 @@
 """The public functions against quadrature in double precision, from NumPy and from Dr.Jit."""
 
+import mi_ellipse
 import mitsuba as mi
 import numpy as np
 import pytest
 from oracle import MIRROR, SHEAR, cone, irradiance, rotation, seen_from, solid_angle, translation
-
-import mi_ellipse
 
 LIGHT = translation(0.3, 0.2, 0.7) @ rotation([1, 0.2, 0], 30) @ SHEAR @ np.diag([1.5, 0.4, 1, 1])
 

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-
 from mi_ellipse.study import metrics
 
 SHAPE = (20, 50, 3)  # 3000 values, of which the worst 3 are left out when trimmed

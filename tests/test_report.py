@@ -11,7 +11,6 @@ from html.parser import HTMLParser
 import mitsuba as mi
 import numpy as np
 import pytest
-
 from mi_ellipse.study import compare
 from mi_ellipse.study.report import write_report
 

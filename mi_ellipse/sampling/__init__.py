@@ -13,6 +13,8 @@ single precision it must not: the ray decides what is hit. A draw that is not `v
 density and no light.
 """
 
+from functools import partial
+
 from .area import Area
 from .concentric import Concentric
 from .projected_solid_angle import ProjectedSolidAngle
@@ -25,6 +27,7 @@ STRATEGIES = {
     "rejection": Rejection,
     "solid_angle": SolidAngle,
     "projected_solid_angle": ProjectedSolidAngle,
+    "projected_solid_angle_one_sided": partial(ProjectedSolidAngle, one_sided=True),
     "tangent_disk": TangentDisk,
     "concentric": Concentric,
 }
