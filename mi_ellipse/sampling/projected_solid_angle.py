@@ -90,6 +90,11 @@ def _select(mask: mi.Mask, a, b):
     return dr.select(mask, mi.Vector3f(a), mi.Vector3f(b))
 
 
+def _not(mask: mi.Mask) -> mi.Mask:
+    """Negation that also works in scalar variants, where `~` of a `bool` is an integer."""
+    return dr.select(mask, mi.Mask(False), mi.Mask(True))
+
+
 def _any_perpendicular(v: mi.Vector3f) -> mi.Vector3f:
     return _select(dr.abs(v.x) <= dr.abs(v.y), mi.Vector3f(0, v.z, -v.y), mi.Vector3f(-v.z, 0, v.x))
 
@@ -230,7 +235,13 @@ class _Wedge(NamedTuple):
     height: mi.Float
 
 
-def _pole(n: mi.Vector3f, axis: mi.Vector3f, frame, ta: mi.Float, tb: mi.Float) -> mi.Vector3f:
+def _pole(
+    n: mi.Vector3f,
+    axis: mi.Vector3f,
+    frame: tuple[mi.Vector3f, mi.Vector3f, mi.Vector3f],
+    ta: mi.Float,
+    tb: mi.Float,
+) -> mi.Vector3f:
     """A pole perpendicular to the normal and outside the cone.
 
     Perpendicular to an axis in the dual cone as well it is always outside. Slices along a needle
@@ -353,7 +364,7 @@ class ProjectedSolidAngle:
         inside_dual = dr.dot(z, c) > dr.sqrt(z.x * z.x + dr.square(b * z.y))
         axis = _select(inside_dual, z, mi.Vector3f(0, 0, 1))
         wedge, valid = _wedge(c, b, _pole(n, axis, (x, y, z), seen.ta, seen.tb))
-        no_normal = (dr.squared_norm(n) == 0) | (valid == False)  # noqa: E712
+        no_normal = (dr.squared_norm(n) == 0) | _not(valid)
         m, z, e = (_select(no_normal, *pair) for pair in ((x, wedge.m), (z, wedge.z), (y, wedge.e)))
         tan_max = dr.select(no_normal, seen.ta, wedge.tan_max)
         eta_max = tan_max / (1 + dr.sqrt(dr.fma(tan_max, tan_max, 1)))
@@ -369,7 +380,7 @@ class ProjectedSolidAngle:
         eta_horizon = -nz / (1 + nm)
         long = 1 - dr.rcp(1 + dr.square(wedge.height))
         scale = dr.sqrt(dr.fma(LONG_SLICES, long, LATITUDE_SCALE2))
-        straddling = (eta_horizon > -eta_max * (1 - THINNEST_SIDE)) & (no_normal == False)  # noqa: E712
+        straddling = (eta_horizon > -eta_max * (1 - THINNEST_SIDE)) & _not(no_normal)
         shape = Record(
             m=m,
             z=z,
