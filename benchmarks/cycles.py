@@ -1,6 +1,6 @@
 """Noise and time against Blender's Cycles, for one elliptical lamp above a floor.
 
-    python -m benchmarks.cycles --bpy-python PATH/TO/python [--seeds 256] [--rounds 20]
+    python -m benchmarks.cycles --bpy-python PATH/TO/python [--seeds 256] [--rounds 12]
 
 prints the tables and writes `docs/data/cycles.json` and `docs/images/cycles.png`. The other
 interpreter needs `bpy` 5.0 from PyPI; it runs `cycles_render.py`. Both renderers use one thread.
@@ -17,6 +17,7 @@ from pathlib import Path
 
 import drjit as dr
 import matplotlib.pyplot as plt
+import mi_ellipse  # noqa: F401  before mitsuba: it chooses the LLVM
 import mitsuba as mi
 import numpy as np
 
@@ -42,11 +43,11 @@ SCENE = {  # The scene of `scenes.floor_ball_lamp`, without its ball, for both r
 CYCLES = "Cycles"
 KINDS = (BUILT_IN, "solid_angle", "projected_solid_angle")
 ESTIMATORS = {"light samples": LIGHT_SAMPLES, "MIS": PATH}
-REFERENCE_SPP = 4096
+REFERENCE_SPP = 2048
 TOLERANCE = 1e-3  # Relative, of the mean over the floor
 TRIMMED = 1e-3  # Share of the worst values left out, as in `error`
 # Time of a sample is a slope: from one count to the other what is paid once per picture cancels.
-SPP = {CYCLES: (16, 112), "Mitsuba": (64, 576)}
+SPP = {CYCLES: (8, 72), "Mitsuba": (32, 352)}
 
 
 # ---- The two renderers -------------------------------------------------------------------------
@@ -158,16 +159,209 @@ def floor_pixels(scene: mi.Scene, grid: int = 16) -> np.ndarray:
     return on_floor.numpy().reshape(size, grid, size, grid).all(axis=(1, 3))
 
 
-def agreement(pictures: np.ndarray, reference: np.ndarray) -> dict[str, float]:
-    """Relative deviation of the mean over pixels from a reference, and of its quarters."""
-    ratio = pictures.mean(axis=(0, 2)) / reference.mean(axis=1)
-    quarters = [
-        pictures[:, part].mean() / reference[part].mean() - 1
-        for part in np.array_split(np.argsort(reference[:, 0]), 4)
+def agreement(pictures: np.ndarray, reference: np.ndarray, mask: np.ndarray) -> dict[str, float]:
+    """Relative deviation from a reference: of the floor's mean, and of its worst 32² pixels."""
+    side = SCENE["size"] // 5
+    tile = np.add.outer(5 * (np.arange(SCENE["size"]) // side), np.arange(SCENE["size"]) // side)
+    total = [
+        np.bincount(tile[mask], image.mean(axis=2)[mask], 25)
+        for image in (pictures.mean(axis=0), reference)
     ]
+    means = pictures[:, mask].mean(axis=(1, 2)) / reference[mask].mean()
+    lit = total[1] > 0
     return {
-        "mean": float(pictures.mean() / reference.mean() - 1),
-        "standard_error": float(
-            pictures.mean(axis=(1, 2)).std(ddof=1) / np.sqrt(len(pictures)) / reference.mean()
-        ),
+        "mean": float(means.mean() - 1),
+        "standard_error": float(means.std(ddof=1) / np.sqrt(len(means))),
+        "worst_tile": float(np.abs(total[0][lit] / total[1][lit] - 1).max()),
     }
+
+
+def moments(pictures: np.ndarray, reference: np.ndarray, mask: np.ndarray) -> dict[str, float]:
+    """Squared deviations of pictures at one sample, relative to the floor's squared mean.
+
+    Returns
+    -------
+    dict
+        ``variance`` with its ``standard_error`` over the seeds, ``trimmed`` of the worst values,
+        and ``mean``, the relative deviation of the mean in standard errors.
+    """
+    scale = reference[mask].mean()
+    deviation = (pictures[:, mask].mean(axis=2) - reference[mask].mean(axis=1)) / scale
+    squares, means = deviation**2, deviation.mean(axis=1)
+    of_seeds = squares.mean(axis=1)
+    root = np.sqrt(len(pictures))
+    kept = round(squares.shape[1] * (1 - TRIMMED))
+    return {
+        "variance": float(of_seeds.mean()),
+        "standard_error": float(of_seeds.std(ddof=1) / root),
+        "trimmed": float(np.partition(squares, kept, axis=1)[:, :kept].mean()),
+        "mean": float(means.mean() / (means.std(ddof=1) / root)),
+    }
+
+
+def sample_times(contenders: dict, rounds: int) -> dict[str, dict]:
+    """Time of a sample of each contender, a function of spp and seed, and against the first.
+
+    All take their turn in every round, in changing order; a ratio is that of two slopes of the
+    same round.
+    """
+    seconds = {name: {"wall": [], "cpu": []} for name in contenders}
+    for work, counts in contenders.values():
+        for spp in counts:
+            work(spp, 0)  # Compilation
+    for k in range(rounds):
+        names = list(contenders)[:: 1 if k % 2 else -1]
+        for name in names:
+            work, (few, many) = contenders[name]
+            first, second = work(few, 2 * k + 1), work(many, 2 * k + 2)
+            for clock, values in seconds[name].items():
+                slope = (second[clock] - first[clock]) / (many - few) / SCENE["size"] ** 2
+                values.append(slope)
+    base = seconds[next(iter(contenders))]
+    return {
+        name: {
+            clock: {
+                "nanoseconds": 1e9 * float(np.median(values)),
+                "ratio": vars(Ratio.of(np.divide(values, base[clock]))),
+            }
+            for clock, values in clocks.items()
+        }
+        for name, clocks in seconds.items()
+    }
+
+
+def compare(cycles: Cycles, height: float, seeds: int, rounds: int) -> tuple[dict, list]:
+    """Everything about a lamp at one height, and the pictures of both for the eye."""
+    best = mitsuba_scene("projected_solid_angle", LIGHT_SAMPLES, height)
+    mask = floor_pixels(best)
+    passes, spp = range(4), REFERENCE_SPP // 4
+    reference = render(best, spp, passes).mean(axis=0)
+    result, shown = {}, [reference * mask[..., None]]
+    for estimator, integrator in ESTIMATORS.items():
+        pictures = cycles.pictures(height, estimator, spp, passes)
+        agreed = agreement(pictures, reference, mask)
+        print(f"lamp at {height}, {estimator}: Cycles against Mitsuba {agreed}", flush=True)
+        if abs(agreed["mean"]) > TOLERANCE:
+            raise RuntimeError("The renderers disagree about the picture: nothing to compare")
+        shown.append(pictures.mean(axis=0) * mask[..., None])
+
+        # Seeds from 1000: none is shared with the reference.
+        ones = range(1000, 1000 + seeds)
+        scenes = {kind: mitsuba_scene(kind, integrator, height) for kind in KINDS}
+        rows = {CYCLES: moments(cycles.pictures(height, estimator, 1, ones), reference, mask)}
+        for kind, scene in scenes.items():
+            rows[kind] = moments(render(scene, 1, ones), reference, mask)
+
+        contenders = {
+            CYCLES: (
+                lambda spp, seed, estimator=estimator: cycles.time(height, estimator, spp, seed),
+                SPP[CYCLES],
+            )
+        }
+        for kind, scene in scenes.items():
+            contenders[kind] = (
+                lambda spp, seed, scene=scene: time_mitsuba(scene, spp, seed),
+                SPP["Mitsuba"],
+            )
+        times = sample_times(contenders, rounds)
+        result[estimator] = {
+            "agreement": agreed,
+            "rows": {name: row | {"time": times[name]} for name, row in rows.items()},
+        }
+    return result, shown
+
+
+# ---- Output ------------------------------------------------------------------------------------
+
+
+def table(heights: dict) -> str:
+    """Markdown table; a gain is how many times less than the base, in plain and trimmed errors."""
+    lines = [
+        "| lamp at | estimator | renderer and lamp | variance | less than Cycles, trimmed "
+        "| ns a sample | of Cycles' time | gain on Cycles | gain on `disk + area` |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for height, estimators in heights.items():
+        for estimator, entry in estimators.items():
+            rows = entry["rows"]
+            bases = rows[CYCLES], rows[BUILT_IN]
+            for name, row in rows.items():
+                speed = [base["time"]["cpu"]["ratio"]["median"] for base in (row, *bases)]
+                less = [[base[key] / row[key] for key in ("variance", "trimmed")] for base in bases]
+                gains = [
+                    f"{ratios[0] * time / speed[0]:.3g}"
+                    for ratios, time in zip(less, speed[1:], strict=True)
+                ]
+                cells = [
+                    height,
+                    estimator,
+                    name if name == CYCLES else f"Mitsuba, `{name}`",
+                    f"{row['variance']:.3g} ± {row['standard_error']:.1g}",
+                    f"{less[0][0]:.3g}, {less[0][1]:.3g}",
+                    f"{row['time']['cpu']['nanoseconds']:.3g}",
+                    f"{speed[0]:.3g}",
+                    *(gains if name != CYCLES else (gains[0], "")),
+                ]
+                lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def plot(shown: dict[float, list], path: Path) -> None:
+    """Both renderers' pictures beside each other, and how they differ."""
+    titles = ["Mitsuba, projected_solid_angle", "Cycles, light samples", "Cycles, MIS"]
+    titles += [f"{title} − Mitsuba" for title in titles[1:]]
+    figure, axes = plt.subplots(len(shown), 5, figsize=(15, 3.2 * len(shown)), squeeze=False)
+    for row, (height, pictures) in zip(axes, shown.items(), strict=True):
+        reference = pictures[0]
+        for axis, title, picture in zip(row, titles, pictures, strict=False):
+            axis.imshow(np.clip(picture, 0, 1) ** (1 / 2.2))
+            axis.set_title(title, fontsize=9)
+        mean = reference.mean()
+        for axis, title, picture in zip(row[3:], titles[3:], pictures[1:], strict=True):
+            difference = (picture - reference).mean(axis=2) / mean
+            image = axis.imshow(difference, cmap="RdBu_r", vmin=-0.05, vmax=0.05)
+            axis.set_title(title, fontsize=9)
+        figure.colorbar(image, ax=row[3:], label="in units of the picture's mean")
+        row[0].set_ylabel(f"lamp at {height}")
+    for axis in axes.flat:
+        axis.set_xticks([])
+        axis.set_yticks([])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=100, bbox_inches="tight")
+
+
+def main() -> None:
+    """Compare, print, and keep figures and pictures in `docs`."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.cycles", description=__doc__)
+    parser.add_argument("--bpy-python", required=True, help="interpreter that can import bpy 5.0")
+    parser.add_argument("--seeds", type=int, default=256, help="pictures at 1 spp")
+    parser.add_argument("--rounds", type=int, default=12, help="timed rounds")
+    parser.add_argument("--output", type=Path, default=DOCS, help="folder, by default docs")
+    arguments = parser.parse_args()
+
+    dr.set_thread_count(SCENE["threads"])
+    cycles = Cycles(arguments.bpy_python)
+    heights, shown = {}, {}
+    for height in HEIGHTS:
+        heights[str(height)], shown[height] = compare(
+            cycles, height, arguments.seeds, arguments.rounds
+        )
+    cycles.close()
+
+    versions = {"Blender": cycles.version, "Mitsuba": mi.__version__, "Dr.Jit": dr.__version__}
+    results = {
+        "machine": machine(),
+        "versions": versions,
+        "seeds": arguments.seeds,
+        "rounds": arguments.rounds,
+        "heights": heights,
+    }
+    (arguments.output / "data").mkdir(parents=True, exist_ok=True)
+    path = arguments.output / "data" / "cycles.json"
+    path.write_text(json.dumps(results, indent=1) + "\n")
+    plot(shown, arguments.output / "images" / "cycles.png")
+    print(table(heights))
+
+
+if __name__ == "__main__":
+    main()

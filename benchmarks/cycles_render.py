@@ -75,7 +75,7 @@ def configure(scene: bpy.types.Scene, description: dict) -> None:
     render.resolution_x = render.resolution_y = description["size"]
     render.resolution_percentage = 100
     render.threads_mode, render.threads = "FIXED", description["threads"]
-    render.use_persistent_data = True  # no scene export with each seed
+    render.use_persistent_data = False  # kept data would miss a change of the lamp's estimator
     render.use_compositing = render.use_sequencer = False
     render.image_settings.file_format = "OPEN_EXR"
     render.image_settings.color_depth = "32"
@@ -89,7 +89,7 @@ def configure(scene: bpy.types.Scene, description: dict) -> None:
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0
     cycles.light_sampling_threshold = 0
     cycles.use_light_tree = False
-    cycles.sampling_pattern = description.get("pattern", "TABULATED_SOBOL")
+    cycles.sampling_pattern = "TABULATED_SOBOL"
     scene.view_layers[0].use_pass_z = False
 
 
@@ -99,8 +99,6 @@ def place(request: dict) -> None:
     lamp = bpy.data.objects["lamp"]
     lamp.matrix_world = Matrix.Translation((0, 0, request["height"])) @ tilt
     lamp.data.cycles.use_multiple_importance_sampling = request["mis"]
-    kind = "MULTIPLE_IMPORTANCE_SAMPLING" if request["mis"] else "NEXT_EVENT_ESTIMATION"
-    bpy.context.scene.cycles.direct_light_sampling_type = kind
 
 
 def read_linear(path: str) -> np.ndarray:
