@@ -121,9 +121,12 @@ class Ellipse:
     def from_uv(self, uv: mi.Point2f) -> tuple[mi.Float, mi.Float]:
         """Principal coordinates at a point of that parameterisation."""
         y, x = dr.sincos(dr.two_pi * uv.y)
-        x, y = x * uv.x, y * uv.x
-        a = self.parameter_cos * x + self.parameter_sin * y
-        b = self.parameter_cos * y - self.parameter_sin * x
+        return self.from_disk(mi.Point2f(x * uv.x, y * uv.x))
+
+    def from_disk(self, point: mi.Point2f) -> tuple[mi.Float, mi.Float]:
+        """Principal coordinates of a point of the unit disk before `to_world`."""
+        a = self.parameter_cos * point.x + self.parameter_sin * point.y
+        b = self.parameter_cos * point.y - self.parameter_sin * point.x
         return a, b * self.handedness
 
 

@@ -52,6 +52,7 @@ def define() -> type:
                     f'ellipticalarea: sampling="{self.sampling}" is unknown; choose one of '
                     + ", ".join(STRATEGIES)
                 )
+            self.claimed = False  # By a shape: another one takes a copy
             self.ellipse = None
             self._misplaced = None
             self._follow_radiance()
@@ -165,29 +166,39 @@ def define() -> type:
             return mi.depolarizer(dr.select(lit, self.radiance.eval(si, lit), 0))
 
         def sample_position(self, time, sample, active=True):
-            if self._attached() is None:
-                return dr.zeros(mi.PositionSample3f), mi.Float(0)
-            shape = self.get_shape()
-            if self.follows_texture:
-                uv, pdf = self.radiance.sample_position(sample, active)
-                si = shape.eval_parameterization(uv, mi.RayFlags.All, active & (pdf > 0))
-                ps = mi.PositionSample3f(si)
-                ps.pdf = dr.select(si.is_valid(), pdf / dr.norm(dr.cross(si.dp_du, si.dp_dv)), 0)
+            light = self._attached()
+            ps = dr.zeros(mi.PositionSample3f) if dr.is_jit_v(mi.Float) else mi.PositionSample3f()
+            if light is None:
+                return ps, mi.Float(0)
+            with dr.suspend_grad():
+                if self.follows_texture:
+                    ps.uv, _ = self.radiance.sample_position(sample, active)
+                    a, b = light.from_uv(ps.uv)
+                else:
+                    a, b = light.from_disk(mi.warp.square_to_uniform_disk_concentric(sample))
+                    ps.uv = light.uv(a, b)
+                ps.p = light.point(a, b)
+                ps.n = mi.Normal3f(light.normal)
+                ps.time = time
                 ps.delta = False
-            else:
-                ps = shape.sample_position(time, sample, active)
-            weight = dr.select(active & (ps.pdf > 0), dr.rcp(ps.pdf), 0)
-            return ps, weight
+                ps.pdf = self._pdf_position(light, ps.uv)
+                valid = active & (ps.pdf > 0)
+                return ps, dr.select(valid, dr.rcp(dr.select(valid, ps.pdf, 1)), 0)
 
         def pdf_position(self, ps, active=True):
-            if self._attached() is None:
+            light = self._attached()
+            if light is None:
                 return mi.Float(0)
-            shape = self.get_shape()
+            return dr.select(active, self._pdf_position(light, ps.uv), 0)
+
+        def _pdf_position(self, light, uv):
+            """Density per area."""
             if not self.follows_texture:
-                return shape.pdf_position(ps, active)
-            si = shape.eval_parameterization(ps.uv, mi.RayFlags.All, active)
-            pdf = self.radiance.pdf_position(ps.uv, active)
-            return dr.select(si.is_valid(), pdf / dr.norm(dr.cross(si.dp_du, si.dp_dv)), 0)
+                return dr.rcp(light.area)
+            # uv = (radius, angle / 2π): the area is 2π radius du dv, times lx ly
+            pdf = self.radiance.pdf_position(uv)
+            per_area = 2 * light.area * uv.x
+            return dr.select(per_area > 0, pdf / dr.select(per_area > 0, per_area, 1), 0)
 
         def sample_ray(self, time, sample1, sample2, sample3, active=True):
             ps, weight = self.sample_position(time, sample2, active)

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 
+import drjit as dr
 import mitsuba as mi
-import numpy as np
+
+# Volume of the image of the unit cube over the product of its edges: below, double precision cannot
+# tell a transform from a singular one.
+SMALLEST_VOLUME = 1e-14
 
 
 def create(props: mi.Properties) -> mi.Shape:
@@ -33,9 +37,12 @@ def create(props: mi.Properties) -> mi.Shape:
             del disk_props[name]
     disk_props["to_world"] = to_world @ mi.ScalarAffineTransform4d().scale([*semi_axes, 1])
     for name, value in disk_props.objects(mark_queried=False):
+        if not hasattr(value, "claimed"):  # Not an `ellipticalarea`
+            continue
         # Mitsuba merges equal Python emitters of a dictionary into one object.
-        if isinstance(value, mi.Emitter) and value.get_shape() is not None:
-            disk_props[name] = value.copy() if hasattr(value, "copy") else value
+        if value.claimed:
+            value = disk_props[name] = value.copy()
+        value.claimed = True
     disk = mi.PluginManager.instance().create_object(disk_props)
 
     # What `disk` did not ask for stays unqueried, so that Mitsuba reports a misspelt parameter.
@@ -62,10 +69,13 @@ def _to_world(props: mi.Properties) -> mi.ScalarAffineTransform4d:
     # From the matrix alone: a transform also carries an inverse, which Mitsuba's rotation about an
     # axis that is not normalised leaves inconsistent.
     given = props.get("to_world", mi.ScalarAffineTransform4d())
-    to_world = mi.ScalarAffineTransform4d(given.matrix)
-    matrix = np.array(to_world.matrix)
-    if not np.isfinite(matrix).all():
+    matrix = given.matrix
+    entries = [float(matrix[i, j]) for i in range(4) for j in range(4)]
+    if not all(map(math.isfinite, entries)):
         raise ValueError(f"ellipse: to_world has entries that are not finite:\n{matrix}")
-    if np.linalg.matrix_rank(matrix[:3, :3]) < 3:
+
+    columns = [mi.ScalarVector3d(matrix[0, j], matrix[1, j], matrix[2, j]) for j in range(3)]
+    volume = abs(dr.dot(dr.cross(columns[0], columns[1]), columns[2]))
+    if volume <= SMALLEST_VOLUME * math.prod(map(dr.norm, columns)):
         raise ValueError(f"ellipse: to_world is singular, it must be invertible:\n{matrix}")
-    return to_world
+    return mi.ScalarAffineTransform4d(matrix)
