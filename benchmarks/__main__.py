@@ -22,7 +22,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     mi.set_variant("llvm_ad_rgb")
-    from . import accuracy, error, first_frame, harness, lamps, render_time
+    from . import accuracy, error, first_frame, harness, lamps, render_time, report
 
     modules = (accuracy, render_time, error, lamps, first_frame)
     runs = {module.__name__.split(".")[-1]: module for module in modules}
@@ -36,6 +36,7 @@ def main() -> None:
         DATA.mkdir(parents=True, exist_ok=True)
         results = {"machine": harness.machine(), name: results}
         (DATA / f"{name}.json").write_text(json.dumps(results, indent=1) + "\n")
+        report.write()
 
 
 if __name__ == "__main__":

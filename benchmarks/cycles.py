@@ -1,6 +1,6 @@
 """Noise and time against Blender's Cycles, for one elliptical lamp above a floor.
 
-    python -m benchmarks.cycles --bpy-python PATH/TO/python [--seeds 256] [--rounds 12]
+    python -m benchmarks.cycles --bpy-python PATH/TO/python [--seeds 256] [--rounds 24]
 
 prints the tables and writes `docs/data/cycles.json` and `docs/images/cycles.png`. The other
 interpreter needs `bpy` 5.0 from PyPI; it runs `cycles_render.py`. Both renderers use one thread.
@@ -9,6 +9,7 @@ interpreter needs `bpy` 5.0 from PyPI; it runs `cycles_render.py`. Both renderer
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import subprocess
 import tempfile
@@ -23,7 +24,7 @@ import numpy as np
 
 mi.set_variant("llvm_ad_rgb")
 
-from .harness import Ratio, machine  # noqa: E402
+from .harness import machine  # noqa: E402
 from .scenes import BUILT_IN, LIGHT_SAMPLES, PATH, RADIANCE, SEMI_AXES, lamp  # noqa: E402
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -47,7 +48,7 @@ REFERENCE_SPP = 2048
 TOLERANCE = 1e-3  # Relative, of the mean over the floor
 TRIMMED = 1e-3  # Share of the worst values left out, as in `error`
 # Time of a sample is a slope: from one count to the other what is paid once per picture cancels.
-SPP = {CYCLES: (8, 72), "Mitsuba": (32, 352)}
+SPP = {CYCLES: (4, 36), "Mitsuba": (32, 288)}
 
 
 # ---- The two renderers -------------------------------------------------------------------------
@@ -202,32 +203,48 @@ def moments(pictures: np.ndarray, reference: np.ndarray, mask: np.ndarray) -> di
 def sample_times(contenders: dict, rounds: int) -> dict[str, dict]:
     """Time of a sample of each contender, a function of spp and seed, and against the first.
 
-    All take their turn in every round, in changing order; a ratio is that of two slopes of the
-    same round.
+    All take their turn in every round, in changing order. A neighbour on the machine doubles even
+    the processor time of a picture, and never shortens it: the shortest at either count is taken.
+    The range of a ratio is that of even and odd rounds by themselves.
     """
-    seconds = {name: {"wall": [], "cpu": []} for name in contenders}
+    pictures = {name: [] for name in contenders}
     for work, counts in contenders.values():
         for spp in counts:
             work(spp, 0)  # Compilation
     for k in range(rounds):
-        names = list(contenders)[:: 1 if k % 2 else -1]
-        for name in names:
-            work, (few, many) = contenders[name]
-            first, second = work(few, 2 * k + 1), work(many, 2 * k + 2)
-            for clock, values in seconds[name].items():
-                slope = (second[clock] - first[clock]) / (many - few) / SCENE["size"] ** 2
-                values.append(slope)
-    base = seconds[next(iter(contenders))]
-    return {
-        name: {
-            clock: {
-                "nanoseconds": 1e9 * float(np.median(values)),
-                "ratio": vars(Ratio.of(np.divide(values, base[clock]))),
-            }
-            for clock, values in clocks.items()
+        for name in list(contenders)[:: 1 if k % 2 else -1]:
+            work, counts = contenders[name]
+            pictures[name].append([work(spp, 2 * k + i) for i, spp in enumerate(counts, 1)])
+
+    def slope(name: str, clock: str, part: slice) -> float:
+        few, many = contenders[name][1]
+        seconds = np.array([[picture[clock] for picture in pair] for pair in pictures[name][part]])
+        shortest = seconds.min(axis=0)
+        return float(shortest[1] - shortest[0]) / (many - few) / SCENE["size"] ** 2
+
+    base = next(iter(contenders))
+    times = {name: {} for name in contenders}
+    for name, clock in itertools.product(contenders, ("wall", "cpu")):
+        ratio, *halves = (
+            slope(name, clock, part) / slope(base, clock, part)
+            for part in (slice(None), slice(0, None, 2), slice(1, None, 2))
+        )
+        times[name][clock] = {
+            "nanoseconds": 1e9 * slope(name, clock, slice(None)),
+            "ratio": {"value": ratio, "low": min(halves), "high": max(halves)},
         }
-        for name, clocks in seconds.items()
-    }
+    return times
+
+
+def make_contenders(cycles: Cycles, scenes: dict, height: float, estimator: str) -> dict:
+    """What `sample_times` runs: how to render, and the two sample counts."""
+
+    def mitsuba(scene: mi.Scene):
+        return lambda spp, seed: time_mitsuba(scene, spp, seed)
+
+    peer = (lambda spp, seed: cycles.time(height, estimator, spp, seed), SPP[CYCLES])
+    ours = {kind: (mitsuba(scene), SPP["Mitsuba"]) for kind, scene in scenes.items()}
+    return {CYCLES: peer} | ours
 
 
 def compare(cycles: Cycles, height: float, seeds: int, rounds: int) -> tuple[dict, list]:
@@ -252,18 +269,7 @@ def compare(cycles: Cycles, height: float, seeds: int, rounds: int) -> tuple[dic
         for kind, scene in scenes.items():
             rows[kind] = moments(render(scene, 1, ones), reference, mask)
 
-        contenders = {
-            CYCLES: (
-                lambda spp, seed, estimator=estimator: cycles.time(height, estimator, spp, seed),
-                SPP[CYCLES],
-            )
-        }
-        for kind, scene in scenes.items():
-            contenders[kind] = (
-                lambda spp, seed, scene=scene: time_mitsuba(scene, spp, seed),
-                SPP["Mitsuba"],
-            )
-        times = sample_times(contenders, rounds)
+        times = sample_times(make_contenders(cycles, scenes, height, estimator), rounds)
         result[estimator] = {
             "agreement": agreed,
             "rows": {name: row | {"time": times[name]} for name, row in rows.items()},
@@ -275,7 +281,7 @@ def compare(cycles: Cycles, height: float, seeds: int, rounds: int) -> tuple[dic
 
 
 def table(heights: dict) -> str:
-    """Markdown table; a gain is how many times less than the base, in plain and trimmed errors."""
+    """Markdown table; a gain is in trimmed error × processor time."""
     lines = [
         "| lamp at | estimator | renderer and lamp | variance | less than Cycles, trimmed "
         "| ns a sample | of Cycles' time | gain on Cycles | gain on `disk + area` |",
@@ -286,18 +292,18 @@ def table(heights: dict) -> str:
             rows = entry["rows"]
             bases = rows[CYCLES], rows[BUILT_IN]
             for name, row in rows.items():
-                speed = [base["time"]["cpu"]["ratio"]["median"] for base in (row, *bases)]
-                less = [[base[key] / row[key] for key in ("variance", "trimmed")] for base in bases]
+                speed = [base["time"]["cpu"]["ratio"]["value"] for base in (row, *bases)]
+                less = [bases[0][key] / row[key] for key in ("variance", "trimmed")]
                 gains = [
-                    f"{ratios[0] * time / speed[0]:.3g}"
-                    for ratios, time in zip(less, speed[1:], strict=True)
+                    f"{base['trimmed'] / row['trimmed'] * time / speed[0]:.3g}"
+                    for base, time in zip(bases, speed[1:], strict=True)
                 ]
                 cells = [
                     height,
                     estimator,
                     name if name == CYCLES else f"Mitsuba, `{name}`",
                     f"{row['variance']:.3g} ± {row['standard_error']:.1g}",
-                    f"{less[0][0]:.3g}, {less[0][1]:.3g}",
+                    f"{less[0]:.3g}, {less[1]:.3g}",
                     f"{row['time']['cpu']['nanoseconds']:.3g}",
                     f"{speed[0]:.3g}",
                     *(gains if name != CYCLES else (gains[0], "")),
@@ -335,7 +341,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.cycles", description=__doc__)
     parser.add_argument("--bpy-python", required=True, help="interpreter that can import bpy 5.0")
     parser.add_argument("--seeds", type=int, default=256, help="pictures at 1 spp")
-    parser.add_argument("--rounds", type=int, default=12, help="timed rounds")
+    parser.add_argument("--rounds", type=int, default=24, help="timed rounds")
     parser.add_argument("--output", type=Path, default=DOCS, help="folder, by default docs")
     arguments = parser.parse_args()
 

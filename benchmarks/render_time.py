@@ -17,7 +17,7 @@ SCENES = {
     "dragon": (16, lambda kind: scene_file("dragon", kind, resx=160, resy=120)),
     "panel": (8, lambda kind: scene_file("panel", kind, resx=160, resy=120)),
 }
-STRATEGIES = ("area", "rejection", "solid_angle", "projected_solid_angle")
+STRATEGIES = ("area", "solid_angle", "projected_solid_angle")
 
 
 def work(scene: mi.Scene, spp: int):
