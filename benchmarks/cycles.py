@@ -295,7 +295,12 @@ def table(heights: dict) -> str:
                 speed = [base["time"]["cpu"]["ratio"]["value"] for base in (row, *bases)]
                 less = [bases[0][key] / row[key] for key in ("variance", "trimmed")]
                 gains = [
-                    f"{base['trimmed'] / row['trimmed'] * time / speed[0]:.3g}"
+                    np.format_float_positional(
+                        base["trimmed"] / row["trimmed"] * time / speed[0],
+                        precision=3,
+                        fractional=False,
+                        trim="-",
+                    )
                     for base, time in zip(bases, speed[1:], strict=True)
                 ]
                 cells = [

@@ -67,6 +67,11 @@ def _stack(values, shape: tuple[int, ...]) -> np.ndarray:
     return array.reshape(*shape, *array.shape[1:])
 
 
+def _or_zero(value):
+    """Nothing beyond some 4e9 sizes, where the cone leaves the range of single precision."""
+    return dr.select(dr.isfinite(value), value, 0)
+
+
 @_accepts_numpy
 def solid_angle(to_world, point):
     """Solid angle of a light seen from points.
@@ -84,7 +89,8 @@ def solid_angle(to_world, point):
         Steradians, with a relative error of 1e-6 or ten times that of rounding the input to single
         precision, whichever is larger. Between 0 and 2π; 0 where it is below 1e-38.
     """
-    return cone.solid_angle(cone.from_point(ellipse.from_transform(to_world), mi.Point3f(point)))
+    light = ellipse.from_transform(to_world)
+    return _or_zero(cone.solid_angle(cone.from_point(light, mi.Point3f(point))))
 
 
 @_accepts_numpy
@@ -96,7 +102,7 @@ def tangent_ellipse(to_world, point) -> TangentEllipse:
     to_world
         Transform of the light, or its matrix.
     point
-        World-space points.
+        World-space points. Beyond some 4e9 sizes of the light the result is not finite.
     """
     light = ellipse.from_transform(to_world)
     seen = cone.from_point(light, mi.Point3f(point))
@@ -121,7 +127,7 @@ def vector_irradiance(to_world, point):
     """
     seen = tangent_ellipse(to_world, point)
     sines = seen.ta * seen.tb / dr.sqrt((1 + dr.square(seen.ta)) * (1 + dr.square(seen.tb)))
-    return seen.z * (dr.pi * sines)
+    return _or_zero(seen.z * (dr.pi * sines))
 
 
 @_accepts_numpy
@@ -184,7 +190,7 @@ def irradiance(to_world, point, normal):
         band = _radial(n.z, towards, rim) - _radial(n.z, towards, horizon)
         missing -= float(weight) * 0.5 * (end - start) * a1 * b1 / rho2 * band
     missing = dr.select(below, dr.maximum(missing, 0), 0)
-    return mi.Float(dr.select(sign > 0, whole + missing, missing))
+    return _or_zero(mi.Float(dr.select(sign > 0, whole + missing, missing)))
 
 
 def _within_half_turn(angle):
