@@ -13,7 +13,11 @@ from .ellipse import Ellipse
 TINY = 1.1754944e-38
 
 # Steps of the confocal root before the last one, Newton's.
-ROOT_STEPS = 3
+ROOT_STEPS = 2
+
+# Part of the sum below which the weight of a pole does not matter to a step. It keeps products
+# within the range of single precision.
+NEGLIGIBLE = 1e-12
 
 # Steps of Bulirsch's complete elliptic integral (see `solid_angle`).
 CEL_STEPS = 6
@@ -43,10 +47,10 @@ class Cone(NamedTuple):
         return self.x * v.x + self.y * v.y + self.z * v.z
 
 
-def _positive_root(b: mi.Float, p: mi.Float) -> mi.Float:
-    """Positive root of ``x² - b x - p = 0`` for ``p ≥ 0``."""
-    q = 0.5 * (dr.abs(b) + dr.sqrt(dr.fma(b, b, 4 * p)))
-    return dr.select(b > 0, q, p / dr.maximum(q, TINY))
+def _positive_root(b: mi.Float, p: mi.Float, k: mi.Float = 1.0) -> mi.Float:
+    """Positive root of ``k x² - b x - p = 0`` for ``p ≥ 0``, ``k > 0``."""
+    q = 0.5 * (dr.abs(b) + dr.sqrt(dr.fma(b, b, 4 * k * p)))
+    return dr.select(b > 0, q, p) / dr.maximum(dr.select(b > 0, k, q), TINY)
 
 
 class Root(NamedTuple):
@@ -78,26 +82,41 @@ def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> Root:
     linear = mi.Float((x2 - 1) - e2 + y2)
     x2, y2, z2, e2 = mi.Float(x2), mi.Float(y2), mi.Float(z2), mi.Float(e2)
 
-    root = _positive_root(x2 + y2 + z2 - e2, z2 * e2)  # An upper bound
+    # The lesser of two upper bounds, with the poles of x and y merged, or of y and z
+    root = dr.minimum(
+        _positive_root(x2 + y2 + z2 - e2, z2 * e2),
+        _positive_root(outside_x + y2 + z2, y2 + z2),
+    )
     for _ in range(ROOT_STEPS):
-        # Merge y's pole with z's, at 0, where λ is beyond it, otherwise with x's, at 1. The sum of
-        # the two is v = n / q, its derivative -m / q².
+        # Merge y's pole with z's, at 0, where λ is beyond it, otherwise with x's, at 1. Of the two,
+        # the near one has the weight `w1` and the distance `p1` from -λ.
         far = root > e2
-        pole = dr.select(far, 0.0, 1.0)
-        # On the axis both weights vanish; the floor keeps their common pole.
-        weight = dr.maximum(dr.select(far, z2, x2), TINY)
-        inv_p, q = dr.rcp(e2 + root), pole + root
-        t = q * inv_p
-        n1 = y2 * t
-        n, m = n1 + weight, dr.fma(n1, t, weight)
-        inv_m = dr.rcp(m)
-        ratio = n * inv_m
-        d = dr.fma(e2 * n1, t, pole * weight) * inv_m  # The merged pole
-        w = n * ratio  # and its weight; in this order: n² underflows
-        excess = dr.fma(root, linear - root, in_plane) * inv_p * ratio  # (v - 1) (d + λ)
-        b = dr.select(far, outside_x + w + d, excess + root + z2)
-        root = _positive_root(b, dr.select(far, w * (1 - d), z2 * d))
-        root = dr.maximum(root - dr.select(far, d, 0.0), z2)
+        w1, w2 = dr.select(far, z2, y2), dr.select(far, y2, x2)
+        p1 = root + dr.select(far, 0.0, e2)
+        w1 = dr.maximum(w1, NEGLIGIBLE * p1)
+        inv_p2 = dr.rcp(root + dr.select(far, e2, 1.0))
+        t = p1 * inv_p2
+        s = w2 * t * t
+        # Their sum v has the derivatives -m2 / p1² and 2 m3 / p1³.
+        m2, m3 = w1 + s, dr.fma(s, t, w1)
+        inv = dr.rcp(m3 * p1)
+        inv_m3, inv_p1 = inv * p1, inv * m3
+        ratio = m2 * inv_m3
+        # The pole -d, the weight w and the constant 1 - k of the same value and derivatives
+        d = p1 * s * (1 - t) * inv_m3 + dr.select(far, 0.0, e2)
+        w = m2 * dr.square(ratio)
+        excess = dr.fma(root, linear - root, in_plane) * inv_p2  # (v - 1) p1, if not far
+        constant = w1 * w2 * t * dr.square(1 - t) * inv
+        k = dr.select(far, 1 - constant, dr.fma(m2, ratio, -excess) * inv_p1)
+        b = dr.select(
+            far,
+            outside_x + w + dr.fma(constant, 1 - d, d),
+            dr.fma(k, root, excess * ratio) + z2,
+        )
+        p, q = dr.select(far, w, z2) * inv_p1, dr.select(far, 1 - d, d) * inv_p1
+        # In units of p1, the squares stay within the range of single precision.
+        root = _positive_root(b * inv_p1, p * q, k) * p1 - dr.select(far, d, 0.0)
+        root = dr.maximum(root, z2)
 
     inverse, inverse_x, inverse_y = dr.rcp(root), dr.rcp(1 + root), dr.rcp(e2 + root)
     excess = dr.fma(root, linear - root, in_plane) * inverse_x * inverse_y
