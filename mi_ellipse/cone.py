@@ -65,14 +65,14 @@ class Root(NamedTuple):
 def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> Root:
     """Positive root λ of ``x²/(1 + λ) + y²/(e² + λ) + z²/λ = 1``.
 
-    Every step replaces two of the three poles by the one that osculates their sum at the current
-    λ, keeps the third, and solves the quadratic; the last one is Newton's. What cancels near the
-    rim, the values at λ = 0 of the sums less one, is formed once in double precision; the steps
-    need only single precision.
+    Every step replaces two of the three poles by one and a constant, which have the same value and
+    two derivatives at the current λ, keeps the third, and solves the quadratic (Gragg's scheme for
+    secular equations; Borges and Gragg 1993); the last step is Newton's. What cancels near the rim,
+    the values at λ = 0 of the sums less one, is formed once in double precision; the steps need
+    only single precision.
 
-    The largest relative error over 300 000 lights, most of them needles seen from close to their
-    plane and rim, is 3e-3 with Newton's step after two
-    steps, 4e-7 after three, and no less after more.
+    Largest relative error over 300 000 lights, most of them needles seen from close to their plane
+    and rim: 4e-7 for 99.99 %, 5e-3 for the worst of all, with two steps or more.
     """
     x2, y2, z2 = centre.x * centre.x, centre.y * centre.y, centre.z * centre.z
     e2 = ratio * ratio
@@ -82,10 +82,11 @@ def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> Root:
     linear = mi.Float((x2 - 1) - e2 + y2)
     x2, y2, z2, e2 = mi.Float(x2), mi.Float(y2), mi.Float(z2), mi.Float(e2)
 
-    # The lesser of two upper bounds, with the poles of x and y merged, or of y and z
-    root = dr.minimum(
-        _positive_root(x2 + y2 + z2 - e2, z2 * e2),
-        _positive_root(outside_x + y2 + z2, y2 + z2),
+    # An upper bound: the poles of x and y merged, or, close to the light, those of y and z
+    outside = x2 + y2 + z2 > 1
+    root = _positive_root(
+        dr.select(outside, x2 + y2 + z2 - e2, outside_x + y2 + z2),
+        dr.select(outside, z2 * e2, y2 + z2),
     )
     for _ in range(ROOT_STEPS):
         # Merge y's pole with z's, at 0, where λ is beyond it, otherwise with x's, at 1. Of the two,

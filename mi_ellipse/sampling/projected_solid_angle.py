@@ -24,6 +24,10 @@ CROSSWISE_TANGENT = 2
 CROSSWISE_CLEARANCE = 20
 CROSSWISE_SINE2 = 0.05
 
+# Tangent of the latitude up to which single precision resolves directions along a slice. Beyond,
+# for lights that almost fill a half-space about the pole, draws are uniform in solid angle.
+STEEPEST = 1e3
+
 # A side of the horizon is drawn in proportion to this power of its irradiance. 1 is best for the
 # squared error of an image, 0 for the mean relative variance; against ½, 0.4 takes a quarter to a
 # third off the latter and adds 9 to 33 % to the former, by class of light.
@@ -275,7 +279,7 @@ def _pole(
     )
 
 
-def _wedge(c: mi.Vector3f, b: mi.Float, e: mi.Vector3f):
+def _wedge(c: mi.Vector3f, b: mi.Float, e: mi.Vector3f, inside: mi.Vector3f):
     """Slices of the cone through a pole.
 
     Parameters
@@ -284,11 +288,13 @@ def _wedge(c: mi.Vector3f, b: mi.Float, e: mi.Vector3f):
         Centre of the light in its own frame, with semi-axes 1 and `b`.
     e
         Pole outside the cone.
+    inside
+        A direction well inside the cone.
 
     Returns
     -------
     wedge, valid
-        `valid` is false where rounding leaves no wedge.
+        `valid` is false where rounding leaves no wedge, or none that it resolves.
     """
     # Dual conic of the cone's projection along the pole, and its eigenvectors
     g1 = dr.normalize(c - e * dr.dot(c, e))
@@ -308,20 +314,23 @@ def _wedge(c: mi.Vector3f, b: mi.Float, e: mi.Vector3f):
     positive, negative = dr.select(valid, positive, 1), dr.select(valid, negative, 1)
 
     z = dr.normalize(g1 * (d22 + negative) - g2 * d12)
-    z = z * dr.sign(dr.dot(z, c))
+    z = z * dr.sign(dr.dot(z, inside))
     m = dr.cross(e, z)
 
     def dual(p, q):
         return p.x * q.x + b * b * p.y * q.y - dr.dot(c, p) * dr.dot(c, q)
 
+    ce, sk = -dual(e, z) / negative, dual(m, e) / positive
+    height = b * c.z / (negative * dr.sqrt(positive))
+    valid &= dr.abs(ce) + dr.abs(sk) + height < STEEPEST
     wedge = _Wedge(
         m=m,
         z=z,
         e=e,
         tan_max=dr.sqrt(positive / negative),
-        ce=-dual(e, z) / negative,
-        sk=dual(m, e) / positive,
-        height=b * c.z / (negative * dr.sqrt(positive)),
+        ce=ce,
+        sk=sk,
+        height=height,
     )
     return wedge, valid
 
@@ -363,7 +372,7 @@ class ProjectedSolidAngle:
 
         inside_dual = dr.dot(z, c) > dr.sqrt(z.x * z.x + dr.square(b * z.y))
         axis = _select(inside_dual, z, mi.Vector3f(0, 0, 1))
-        wedge, valid = _wedge(c, b, _pole(n, axis, (x, y, z), seen.ta, seen.tb))
+        wedge, valid = _wedge(c, b, _pole(n, axis, (x, y, z), seen.ta, seen.tb), z)
         no_normal = (dr.squared_norm(n) == 0) | _not(valid)
         m, z, e = (_select(no_normal, *pair) for pair in ((x, wedge.m), (z, wedge.z), (y, wedge.e)))
         tan_max = dr.select(no_normal, seen.ta, wedge.tan_max)
@@ -458,5 +467,7 @@ class ProjectedSolidAngle:
         """Density of a direction that meets the light."""
         d = mi.Vector3f(direction.x, direction.y, direction.z * record.third)
         dm, dz = dr.dot(d, record.m), dr.dot(d, record.z)
-        r = dr.sqrt(dr.fma(dm, dm, dz * dz))
-        return _density(record, dm / (r + dz), dr.dot(d, record.e) / r)
+        # The pole itself has no longitude; the floor keeps the squared tangent finite.
+        r = dr.maximum(dr.sqrt(dr.fma(dm, dm, dz * dz)), 1e-18)
+        eta = dm / dr.maximum(r + dz, 1e-18)
+        return _density(record, eta, dr.dot(d, record.e) / r)
