@@ -1,1 +1,3 @@
-"""Measurements of the strategies outside a renderer's scenes."""
+"""Measurements of the strategies, the renders and their first frames."""
+
+import mi_ellipse  # noqa: F401  before mitsuba: it chooses the LLVM

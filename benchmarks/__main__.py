@@ -6,7 +6,6 @@ import argparse
 import json
 from pathlib import Path
 
-import mi_ellipse  # noqa: F401  before mitsuba: it chooses the LLVM
 import mitsuba as mi
 
 DATA = Path(__file__).parent.parent / "docs" / "data"
