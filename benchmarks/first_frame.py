@@ -1,4 +1,4 @@
-"""Latency of the first frame: import, loading, tracing and compilation, each in a new process."""
+"""Latency of the first frame: loading, tracing and compilation, each in a new process."""
 
 from __future__ import annotations
 
@@ -18,14 +18,10 @@ REPEATS = 7
 
 def measure(kind: str) -> dict[str, float]:
     """Seconds of each step and peak memory, in this process, which must be new."""
-    start = time.perf_counter()
-    import mi_ellipse
+    import drjit as dr
     import mitsuba as mi
 
-    imported = time.perf_counter()
     mi.set_variant("llvm_ad_rgb")
-    import drjit as dr
-
     from .scenes import floor_ball_lamp
 
     ready = time.perf_counter()
@@ -37,9 +33,7 @@ def measure(kind: str) -> dict[str, float]:
         image.numpy()
         end = time.perf_counter()
         compilation = sum(k.get("backend_time", 0) for k in dr.kernel_history()) / 1e3
-    assert mi_ellipse.__version__
     return {
-        "import": imported - start,
         "load": loaded - ready,
         "trace": traced - loaded,
         "compile": compilation,
