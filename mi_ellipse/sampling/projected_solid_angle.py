@@ -26,7 +26,7 @@ CROSSWISE_SINE2 = 0.05
 
 # Tangent of the latitude up to which single precision resolves directions along a slice. Beyond,
 # for lights that almost fill a half-space about the pole, draws are uniform in solid angle.
-STEEPEST = 1e3
+STEEPEST = 3e4
 
 # A side of the horizon is drawn in proportion to this power of its irradiance. 1 is best for the
 # squared error of an image, 0 for the mean relative variance; against ½, 0.4 takes a quarter to a
