@@ -10,7 +10,7 @@ import mitsuba as mi
 # Height of the reference above the light's plane, in units of the longer semi-axis, below which it
 # counts as this height. It keeps `1/z` finite for points in the plane and is far below what
 # single-precision coordinates resolve.
-PLANE_FLOOR = 1e-15
+PLANE_FLOOR = 1e-12
 
 
 @dataclass

@@ -119,8 +119,8 @@ def define() -> type:
 
             si = mi.SurfaceInteraction3f(ds, it.wavelengths)
             # Scalar variants raise an error on a division by zero.
-            radiance = self.radiance.eval(si, valid) / dr.select(valid, ds.pdf, 1)
-            return ds, mi.depolarizer(dr.select(valid, radiance, 0))
+            weight = dr.select(valid, dr.rcp(dr.select(valid, ds.pdf, 1)), 0)
+            return ds, mi.depolarizer(self.radiance.eval(si, valid) * weight)
 
         def _sample(self, light, it, sample):
             record = self.strategy.prepare(light, it.p, it.n)

@@ -68,7 +68,7 @@ def _stack(values, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _or_zero(value):
-    """Nothing beyond some 4e9 sizes, where the cone leaves the range of single precision."""
+    """Nothing beyond some 1e18 sizes, where the cone leaves the range of single precision."""
     return dr.select(dr.isfinite(value), value, 0)
 
 
@@ -102,7 +102,7 @@ def tangent_ellipse(to_world, point) -> TangentEllipse:
     to_world
         Transform of the light, or its matrix.
     point
-        World-space points. Beyond some 4e9 sizes of the light the result is not finite.
+        World-space points. Beyond some 1e18 sizes of the light the result is not finite.
     """
     light = ellipse.from_transform(to_world)
     seen = cone.from_point(light, mi.Point3f(point))

@@ -77,8 +77,20 @@ def test_shapes_and_types(llvm_ad_rgb):
     assert np.allclose(result, mi_ellipse.solid_angle(LIGHT, np.array([[0, 0, 0], [1, 0, 0]])))
 
 
+def test_far_beyond_the_squares_of_single_precision(llvm_ad_rgb):
+    """There, a solid angle is the area times the cosine over the squared distance."""
+    direction = np.array([0.48, 0.64, 0.6])
+    for distance in (1e10, 1e12, 1e15):
+        point = (distance * direction).astype(np.float32)
+        cross = np.cross(LIGHT[:3, 0], LIGHT[:3, 1])
+        expected = np.pi * abs(cross @ direction) / distance**2
+        assert mi_ellipse.solid_angle(LIGHT, point) == pytest.approx(expected, rel=1e-6)
+        flux = mi_ellipse.vector_irradiance(LIGHT, point)
+        np.testing.assert_allclose(flux, -expected * direction, atol=1e-6 * expected)
+
+
 def test_nothing_comes_from_beyond_single_precision(llvm_ad_rgb):
-    far = np.array([[0, 0, 1e10], [1e12, 0, 1]], np.float32)
+    far = np.array([[0, 0, 1e20], [1e22, 0, 1]], np.float32)
     up = np.array([0, 0, 1], np.float32)
     assert np.all(mi_ellipse.solid_angle(LIGHT, far) == 0)
     assert np.all(mi_ellipse.vector_irradiance(LIGHT, far) == 0)

@@ -27,11 +27,11 @@ class Record(NamedTuple):
 
 
 def _cumulative(record: solid_angle.Record, t: mi.Float) -> mi.Float:
-    """Solid angle between the eccentric angles 0 and t ≤ π/2, over the constant ``a1 b1``."""
+    """Solid angle between the eccentric angles 0 and t ≤ π/2, up to a constant factor."""
     total = 0
     for node, weight in zip(NODES, WEIGHTS, strict=True):
         s, c = dr.sincos(t * float(0.5 + 0.5 * node))
-        total = dr.fma(float(weight), dr.rcp(solid_angle.rim(record, c, s)[0]), total)
+        total = dr.fma(float(weight), dr.rcp(solid_angle.rim(record, c, s)), total)
     return 0.5 * t * total
 
 
@@ -58,15 +58,15 @@ def radial_map(record: Record, c: mi.Float, s: mi.Float, radius2: mi.Float) -> m
     seen = record.map
     angle = dr.atan2(dr.abs(s), dr.abs(c))
     target = angle * (2 / dr.pi) * record.quadrant
-    wc, ws = solid_angle.warp(seen, dr.abs(c), dr.abs(s))
-    t = dr.atan2(ws, wc)
+    start = solid_angle.warp(seen, dr.abs(c), dr.abs(s))
+    t = dr.atan2(start.s, start.c)
     for _ in range(NEWTON_STEPS):
         ts, tc = dr.sincos(t)
-        t -= (_cumulative(seen, t) - target) * solid_angle.rim(seen, tc, ts)[0]
+        t -= (_cumulative(seen, t) - target) * solid_angle.rim(seen, tc, ts)
         t = dr.clip(t, 0, 0.5 * dr.pi)
     ts, tc = dr.sincos(t)
-    extent = solid_angle.rim(seen, tc, ts)[1]
-    return solid_angle.direction(seen, dr.mulsign(tc, c), dr.mulsign(ts, s), extent * radius2)
+    height = seen.a2 / solid_angle.rim(seen, tc, ts) * radius2
+    return solid_angle.direction(seen, dr.mulsign(tc, c), dr.mulsign(ts, s), height)
 
 
 class Concentric:
