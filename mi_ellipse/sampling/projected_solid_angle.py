@@ -29,10 +29,6 @@ CROSSWISE_SINE2 = 0.05
 # for lights that almost fill a half-space about the pole, draws are uniform in solid angle.
 STEEPEST = 3e4
 
-# A side of the horizon is drawn in proportion to the power 3/8 of its irradiance. 1 is best for the
-# squared error of an image, 0 for the mean relative variance; against 1/2, 0.4 takes a quarter to a
-# third off the latter and adds 9 to 33 % to the former, by class of light.
-
 # A side of the horizon thinner than this part of the cone is left to the other side's density.
 THINNEST_SIDE = 1e-5
 
@@ -221,8 +217,8 @@ def _density(
     record: Record, side: Side, minor: mi.Mask, eta: mi.Float, seen: Slice, tangent: mi.Float
 ) -> mi.Float:
     """Density per solid angle at the slice η, on this side, and the latitude with this tangent."""
-    share = dr.select(record.straddling, record.minor_share, 0)
-    density = dr.select(minor, share, 1 - share) * _side_density(side, eta)
+    share = dr.select(minor, record.minor_share, 1 - record.minor_share)
+    density = share * _side_density(side, eta)
     whole, _ = _profile(eta * record.inv_eta_max, mi.Mask(False))
     density = dr.lerp(density, whole * record.inv_eta_max, record.defensive_share)
 
@@ -230,6 +226,22 @@ def _density(
     r2 = (1 + tangent2) / dr.fma(dr.square(record.scale), tangent2, 1)
     latitude = record.scale * r2 * dr.sqrt(r2)
     return 0.5 * density * latitude / (seen.length * seen.cos2_half)
+
+
+def _rescaled(u: mi.Float, share: mi.Float, below: mi.Mask) -> mi.Float:
+    """A number of [0, share), where `below`, or of [share, 1), moved to [0, 1)."""
+    width = dr.select(below, share, 1 - share)
+    return dr.select(below, u, u - share) / dr.maximum(width, cone.TINY)
+
+
+def _minor_share(h: mi.Float) -> mi.Float:
+    """Share of the draws for the smaller side, the horizon at h between axis and rim.
+
+    The sides of a small light are drawn in proportion to the power 3/8 of their irradiances: this
+    polynomial is within 11 % of that. The power 1 is best for the squared error of an image, 0 for
+    the mean relative variance.
+    """
+    return 0.5 * (1 - h) * dr.fma(0.25, h, 1)
 
 
 class _Wedge(NamedTuple):
@@ -323,10 +335,10 @@ class ProjectedSolidAngle:
     closed form. The density is exact and no iteration is needed.
 
     The renderer tells an emitter the geometric normal and not which side of the surface is seen.
-    Where the horizon divides the cone, each side gets a share of the draws in proportion to a
-    power of its irradiance; where the horizon is near, a share of the draws covers the whole
-    cone. So the estimate is unbiased for two-sided, transmitting, bumped and smoothly shaded
-    surfaces. In media, where there is no normal, directions are almost uniform in solid angle.
+    Where the horizon divides the cone, each side gets a share of the draws; where the horizon is
+    near, a share of the draws covers the whole cone. So the estimate is unbiased for two-sided,
+    transmitting, bumped and smoothly shaded surfaces. In media, where there is no normal,
+    directions are almost uniform in solid angle.
 
     Parameters
     ----------
@@ -379,24 +391,17 @@ class ProjectedSolidAngle:
             scale=dr.select(no_normal, 1, scale),
             no_normal=no_normal,
             straddling=straddling,
-            minor_share=dr.select(flipped, 1.0, 0.0),
+            minor_share=dr.select(straddling & flipped, 1.0, 0.0),
             defensive_share=mi.Float(0),
         )
         if self.one_sided:
             return record
 
-        # Irradiance on the minor side from a slice of it, and from the whole light unclipped
-        minor_extent = eta_horizon + eta_max
-        median = eta_horizon - 0.6 * minor_extent
-        minor = minor_extent * _weight(record, median) * (1.7 * (1 + nm) / scale)
-        sines2 = ta2 * tb2 / ((1 + ta2) * (1 + tb2))
-        whole = dr.pi * dr.sqrt(sines2) * dr.abs(n.z)
-        root = dr.sqrt(dr.sqrt(minor / (minor + whole)))
-        ratio = root * dr.sqrt(root)
-        near = dr.clip(2 * tan_max * nm / dr.maximum(nz, cone.TINY) - 1, 0, 1)
+        # Distance of the horizon from the axis of the cone, 1 being the rim
+        h = nz / dr.maximum(tan_max * nm, cone.TINY)
         return record._replace(
-            minor_share=ratio / (1 + ratio),
-            defensive_share=dr.select(no_normal, 0, DEFENSIVE_SHARE * near),
+            minor_share=dr.select(straddling, _minor_share(h), 0),
+            defensive_share=dr.select(no_normal, 0, DEFENSIVE_SHARE * dr.clip(2 - h, 0, 1)),
         )
 
     def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
@@ -404,14 +409,9 @@ class ProjectedSolidAngle:
         # Split the first number between the defensive share and the two sides.
         share = record.defensive_share
         whole = u.x < share
-        v = dr.select(whole, u.x / dr.maximum(share, cone.TINY), (u.x - share) / (1 - share))
-        minor_share = dr.select(record.straddling, record.minor_share, 0)
-        minor = v < minor_share
-        v_side = dr.select(
-            minor,
-            v / dr.maximum(minor_share, cone.TINY),
-            (v - minor_share) / dr.maximum(1 - minor_share, cone.TINY),
-        )
+        v = _rescaled(u.x, share, whole)
+        minor = v < record.minor_share
+        v_side = _rescaled(v, record.minor_share, minor)
         of_whole = record.eta_max * _inverse_profile(dr.clip(v, 1e-9, 1 - 6e-8), mi.Mask(False))
         minor = dr.select(whole, record.straddling & (of_whole < record.eta_horizon), minor)
         side = _side(record, minor)
