@@ -9,7 +9,7 @@ from pathlib import Path
 import mitsuba as mi
 
 DATA = Path(__file__).parent.parent / "docs" / "data"
-NAMES = ("accuracy", "render_time", "error", "lamps", "first_frame")
+NAMES = ("accuracy", "render_time", "error", "lamps", "first_frame", "growth")
 
 
 def main() -> None:
@@ -21,14 +21,14 @@ def main() -> None:
     arguments = parser.parse_args()
 
     mi.set_variant("llvm_ad_rgb")
-    from . import accuracy, error, first_frame, harness, lamps, render_time, report
+    from . import accuracy, error, first_frame, growth, harness, lamps, render_time, report
 
-    modules = (accuracy, render_time, error, lamps, first_frame)
+    modules = (accuracy, render_time, error, lamps, first_frame, growth)
     runs = {module.__name__.split(".")[-1]: module for module in modules}
     for name in arguments.names or NAMES:
         print(f"---- {name}: {harness.machine()} ----", flush=True)
         if name == "accuracy":
-            accuracy.main()
+            accuracy.main([])
             continue
         timed = name in ("render_time", "error") and arguments.pairs
         results = runs[name].run(**({"pairs": arguments.pairs} if timed else {}))

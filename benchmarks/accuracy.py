@@ -544,20 +544,21 @@ def plot(result: dict, path: Path) -> None:
     figure.savefig(path.with_suffix(".png"), dpi=160)
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
+    """Measure, print, and keep the figures and the plot; `arguments` as on the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--lights", type=int, default=192, help="per class")
     parser.add_argument("--samples", type=int, default=16384, help="draws per light, a power of 2")
     parser.add_argument("--rounds", type=int, default=9, help="repeats of the timing")
-    arguments = parser.parse_args()
-    cost, unit = measure_cost(arguments.rounds)
+    options = parser.parse_args(arguments)
+    cost, unit = measure_cost(options.rounds)
     result = {
         "seed": SEED,
-        "lights": arguments.lights,
-        "samples": arguments.samples,
+        "lights": options.lights,
+        "samples": options.samples,
         "unit_ns": unit,
         "cost": cost,
-        "rows": measure_accuracy(arguments.lights, arguments.samples),
+        "rows": measure_accuracy(options.lights, options.samples),
     }
     print_table(result)
     (DOCS / "data").mkdir(parents=True, exist_ok=True)

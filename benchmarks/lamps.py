@@ -13,6 +13,7 @@ from .scenes import BUILT_IN, PATH, lamp
 
 COUNTS = (1, 10, 100, 1000)
 KINDS = (BUILT_IN, "area", "solid_angle", "projected_solid_angle")
+REPEATS = 11
 
 
 def many_lamps(kind: str, count: int) -> mi.Scene:
@@ -40,35 +41,44 @@ def many_lamps(kind: str, count: int) -> mi.Scene:
     )
 
 
-def measure(kind: str, count: int, repeats: int = 7) -> dict:
-    """Kernel size, and medians of the time to trace and to execute a render."""
-    scene = many_lamps(kind, count)
-    mi.render(scene, spp=4, seed=0).numpy()
-    tracing, execution = [], []
+def render_once(scene: mi.Scene, seed: int) -> dict:
+    """Size of the largest kernel of a render, and the times to trace and to execute it."""
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        for seed in range(1, repeats + 1):
-            dr.kernel_history_clear()
-            start = time.perf_counter()
-            image = mi.render(scene, spp=64, seed=seed)
-            tracing.append(time.perf_counter() - start)
-            image.numpy()
-            kernels = [k for k in dr.kernel_history() if "operation_count" in k]
-            largest = max(kernels, key=lambda kernel: kernel["operation_count"])
-            execution.append(largest["execution_time"])
+        dr.kernel_history_clear()
+        start = time.perf_counter()
+        image = mi.render(scene, spp=64, seed=seed)
+        tracing = time.perf_counter() - start
+        image.numpy()
+        kernels = [k for k in dr.kernel_history() if "operation_count" in k]
+    largest = max(kernels, key=lambda kernel: kernel["operation_count"])
     ir = largest["ir"].getvalue() if hasattr(largest["ir"], "getvalue") else str(largest["ir"])
     return {
         "operations": largest["operation_count"],
         "callables": len(set(re.findall(r"^define .*@(func_\w+)", ir, re.MULTILINE))),
-        "tracing_ms": 1e3 * float(np.median(tracing)),
-        "execution_ms": float(np.median(execution)),
+        "tracing_ms": 1e3 * tracing,
+        "execution_ms": largest["execution_time"],
     }
 
 
 def run() -> dict:
-    """Table over numbers and kinds of lamps."""
-    results = {}
+    """Table over numbers and kinds of lamps; medians, the kinds interleaved."""
+    results = {kind: {} for kind in KINDS}
     for count in COUNTS:
-        for kind in KINDS:
-            results.setdefault(kind, {})[count] = row = measure(kind, count)
+        scenes = {kind: many_lamps(kind, count) for kind in KINDS}
+        runs = {kind: [] for kind in KINDS}
+        for seed in range(REPEATS + 1):
+            for kind, scene in scenes.items():
+                runs[kind].append(render_once(scene, seed))
+        for kind, rows in runs.items():
+            rows, base = rows[1:], runs[BUILT_IN][1:]  # The first compiles
+            ratios = [
+                row["execution_ms"] / other["execution_ms"]
+                for row, other in zip(rows, base, strict=True)
+            ]
+            results[kind][count] = row = rows[0] | {
+                "tracing_ms": float(np.median([row["tracing_ms"] for row in rows])),
+                "execution_ms": float(np.median([row["execution_ms"] for row in rows])),
+                "execution_ratio": float(np.median(ratios)),
+            }
             print(f"{count:>5} {kind:<24}{row}")
     return results

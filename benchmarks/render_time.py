@@ -30,9 +30,7 @@ def run(pairs: int = PAIRS, scenes: tuple[str, ...] = tuple(SCENES)) -> dict:
     results = {}
     for name in scenes:
         spp, load = SCENES[name]
-        kinds = [BUILT_IN, *STRATEGIES]
-        if name == "bare floor and ball":
-            kinds += [MESH, RECTANGLE]
+        kinds = [BUILT_IN, *STRATEGIES, MESH, RECTANGLE]
         others = {kind: work(load(kind), spp) for kind in kinds}
         ratios, seconds = compare_times(work(load(BUILT_IN), spp), others, pairs)
         results[name] = {"seconds": seconds, "ratios": {k: vars(r) for k, r in ratios.items()}}

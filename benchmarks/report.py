@@ -1,9 +1,11 @@
-"""The page `docs/benchmarks.md`, written from the figures in `docs/data`."""
+"""The page `docs/benchmarks.md` and its plot, from the figures in `docs/data`."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+
+import matplotlib.pyplot as plt
 
 DOCS = Path(__file__).parent.parent / "docs"
 
@@ -13,17 +15,22 @@ Every figure is a ratio against Mitsuba's own `disk` + `area`, measured in one r
 pairs: absolute times drift on a shared machine, ratios hold. This page is written by
 `python -m benchmarks` from `docs/data`; one part of it is made again with
 `python -m benchmarks NAME`, the name being in brackets behind each heading.
+
+![Time of a render on every scene, and what it buys near a lamp](images/benchmarks.png)
 """
 
 
 def write() -> None:
     """Write the page from whatever has been measured."""
-    parts = [HEAD]
+    parts, measured = [HEAD], {}
     for name, section in SECTIONS.items():
         path = DOCS / "data" / f"{name}.json"
         if path.exists():
             data = json.loads(path.read_text(encoding="utf-8"))
+            measured[name] = data[name]
             parts.append(section(data[name]) + f"\nMachine: {data['machine']}.\n")
+    if {"render_time", "error"} <= measured.keys():
+        _plot(measured["render_time"], measured["error"])
     (DOCS / "benchmarks.md").write_text("\n".join(parts), encoding="utf-8")
 
 
@@ -83,7 +90,7 @@ def _lamps(results: dict) -> str:
             str(row["operations"]),
             str(row["callables"]),
             f"{row['tracing_ms'] / int(count):.2f}",
-            f"{row['execution_ms'] / results['disk + area'][count]['execution_ms']:.2f}",
+            f"{row['execution_ratio']:.2f}",
         ]
         for kind, counts in results.items()
         for count, row in counts.items()
@@ -111,9 +118,62 @@ def _first_frame(results: dict) -> str:
     )
 
 
+def _growth(results: dict) -> str:
+    kinds = list(next(iter(results.values()))["ratios"])
+    rows = [
+        [case, f"{entry['seconds']:.4f}"]
+        + ["{median:.3f} ({low:.3f}–{high:.3f})".format(**entry["ratios"][kind]) for kind in kinds]
+        for case, entry in results.items()
+    ]
+    return (
+        "## Image size and sample count [growth]\n\n"
+        "The bare floor and ball: seconds of a render with `disk + area`, tracing included, and"
+        " the ratio of the others to it. What is the same for every size is the tracing of a"
+        " render in Python, which `dr.freeze` does once.\n\n"
+        + table(["image", "disk + area, s", *kinds], rows)
+    )
+
+
+def _plot(render_time: dict, error: dict) -> None:
+    figure, (times, gains) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
+    kinds = ["area", "solid_angle", "projected_solid_angle", "64 triangles + area"]
+    for k, kind in enumerate(kinds):
+        found = [
+            (scene + 0.15 * (k - 1.5), entry["ratios"][kind])
+            for scene, entry in enumerate(render_time.values())
+            if kind in entry["ratios"]
+        ]
+        median = [ratio["median"] for _, ratio in found]
+        below = [ratio["median"] - ratio["low"] for _, ratio in found]
+        above = [ratio["high"] - ratio["median"] for _, ratio in found]
+        places = [place for place, _ in found]
+        times.errorbar(places, median, (below, above), fmt="o", ms=4, capsize=2, label=kind)
+    times.axhline(1, color="grey", lw=0.8)
+    times.set_xticks(range(len(render_time)), list(render_time), rotation=20, ha="right")
+    times.set_ylabel("time of a render over disk + area")
+    times.legend(frameon=False, fontsize=8)
+
+    kinds = ["area", "rejection", "solid_angle", "projected_solid_angle"]
+    cases = [(h, label) for h in error["heights"] for label in ("light samples", "MIS")]
+    for k, kind in enumerate(kinds):
+        places = [case + 0.15 * (k - 1.5) for case in range(len(cases))]
+        values = [error["heights"][h][label][kind]["gain_trimmed"] for h, label in cases]
+        gains.plot(places, values, "o", ms=5, label=kind)
+    gains.axhline(1, color="grey", lw=0.8)
+    gains.set_yscale("log")
+    gains.set_xticks(range(len(cases)), [f"{label}\nlamp at {h}" for h, label in cases])
+    gains.set_ylabel("disk + area's trimmed error × time over it")
+    gains.legend(frameon=False, fontsize=8)
+
+    for suffix in ("png", "svg"):
+        figure.savefig(DOCS / "images" / f"benchmarks.{suffix}", dpi=150)
+    plt.close(figure)
+
+
 SECTIONS = {
     "render_time": _render_time,
     "error": _error,
     "lamps": _lamps,
     "first_frame": _first_frame,
+    "growth": _growth,
 }

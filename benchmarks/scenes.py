@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import tempfile
 from pathlib import Path
 
 import mi_ellipse
@@ -15,6 +17,9 @@ RADIANCE = {"type": "rgb", "value": [4, 3, 2]}
 BUILT_IN = "disk + area"
 MESH = "64 triangles + area"
 RECTANGLE = "rectangle + area"
+
+HALF_SIDE = math.sqrt(math.pi) / 2  # of a square with the area of the unit disk
+SEGMENTS = 64
 
 PATH = {"type": "path", "max_depth": 2}
 LIGHT_SAMPLES = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}
@@ -79,23 +84,23 @@ def lamp(kind: str, to_world: mi.ScalarTransform4f) -> dict | mi.Mesh:
     if kind == BUILT_IN:
         return {"type": "disk", "to_world": to_world @ scale([*SEMI_AXES, 1]), "emitter": area}
     if kind == RECTANGLE:
-        side = (mi.ScalarFloat(3.14159265) / 4) ** 0.5  # of a square with the area of the disk
-        to_world = to_world @ scale([SEMI_AXES[0] * side, SEMI_AXES[1] * side, 1])
+        to_world = to_world @ scale([SEMI_AXES[0] * HALF_SIDE, SEMI_AXES[1] * HALF_SIDE, 1])
         return {"type": "rectangle", "to_world": to_world, "emitter": area}
     props = mi.Properties()
     props["emitter"] = mi.load_dict(area)
-    return mi_ellipse.tessellate(to_world @ scale([*SEMI_AXES, 1]), 64, props)
+    return mi_ellipse.tessellate(to_world @ scale([*SEMI_AXES, 1]), SEGMENTS, props)
 
 
 def scene_file(name: str, kind: str, **parameters) -> mi.Scene:
-    """A scene of the study by the stem of its file, with a strategy or with `BUILT_IN`."""
+    """A scene of the study by the stem of its file, with any kind of lamps."""
     path = SCENES / f"{name}.xml"
     parameters = {key: str(value) for key, value in parameters.items()}
-    if kind != BUILT_IN:
+    if kind in STRATEGIES:
         return load_scene(path, parameters, kind)
 
     config = mi.parser.ParserConfig(mi.variant())
     state = mi.parser.parse_file(config, str(path), **parameters)
+    folder = tempfile.TemporaryDirectory()
     for node in state.nodes:
         props = node.props
         if props.plugin_name() == "ellipticalarea":
@@ -103,12 +108,31 @@ def scene_file(name: str, kind: str, **parameters) -> mi.Scene:
             props.remove_property("sampling")
         elif props.plugin_name() == "ellipse":
             axes = [props.get(f"semi_axis_{axis}", 1.0) for axis in "xy"]
-            to_world = props.get("to_world", mi.ScalarTransform4d())
-            props["to_world"] = to_world @ mi.ScalarTransform4d().scale([*axes, 1])
-            props.set_plugin_name("disk")
             for axis in "xy":
                 props.remove_property(f"semi_axis_{axis}")
+            to_world = props.get("to_world", mi.ScalarTransform4d())
+            to_world = to_world @ mi.ScalarTransform4d().scale([*axes, 1])
+            meshes = Path(folder.name)
+            _replace_shape(props, kind, to_world, meshes / f"{len(list(meshes.iterdir()))}.ply")
     resolver = mi.file_resolver()
     resolver.prepend(str(SCENES))
     mi.parser.transform_all(config, state)
-    return mi.parser.instantiate(config, state)
+    scene = mi.parser.instantiate(config, state)
+    folder.cleanup()
+    return scene
+
+
+def _replace_shape(
+    props: mi.Properties, kind: str, to_world: mi.ScalarTransform4d, mesh_file: Path
+) -> None:
+    """Make the image of the unit disk a shape of Mitsuba's own, or the rectangle of its area."""
+    if kind == MESH:
+        mi_ellipse.tessellate(to_world, SEGMENTS).write_ply(str(mesh_file))
+        props.set_plugin_name("ply")
+        props["filename"] = str(mesh_file)
+        del props["to_world"]
+        return
+    if kind == RECTANGLE:
+        to_world = to_world @ mi.ScalarTransform4d().scale([HALF_SIDE, HALF_SIDE, 1])
+    props.set_plugin_name("disk" if kind == BUILT_IN else "rectangle")
+    props["to_world"] = to_world

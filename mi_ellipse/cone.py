@@ -79,7 +79,9 @@ def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
     of the same order without a square root.
 
     Largest relative error over 1 000 000 lights, most of them needles seen from close to their
-    plane and rim: .15 after the first step, 2e-3 and 3e-7 after the others.
+    plane and rim: .15 after the first step, 2e-3 and 3e-7 after the others. Where `c` comes close
+    to the smallest number of single precision (a needle of aspect 1e6, seen from less than 1e-11
+    above its plane) it is up to 2e-2.
     """
     x2, y2, z2 = centre.x * centre.x, centre.y * centre.y, centre.z * centre.z
     e2 = ratio * ratio

@@ -18,10 +18,8 @@ class Record(NamedTuple):
     cone: Cone
     a2: mi.Float  # sin²(α/2), half the larger half-angle
     ratio: mi.Float  # sin(β/2) / sin(α/2), half the smaller half-angle over half the larger
-    ka: (
-        mi.Float
-    )  # (sin(α/2) / ta)²: change of scale from the tangent plane to that of half the angle
-    kb: mi.Float
+    ka: mi.Float  # (sin(α/2) / ta)²
+    kb: mi.Float  # (sin(β/2) / tb)²
     inv_kappa: mi.Float  # Strength of the angular warp, 1 for circles
     rho: mi.Float  # Where along the quadrant the warp acts
 

@@ -25,6 +25,7 @@ STYLES = {
     "rejection": ("#CC79A7", "s"),
     "solid_angle": ("#0072B2", "^"),
     "projected_solid_angle": ("#D55E00", "v"),
+    "projected_solid_angle_one_sided": ("#8C510A", "<"),
     "tangent_disk": ("#009E73", "D"),
     "concentric": ("#56B4E9", "p"),
 }
