@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import time
 
@@ -13,7 +14,8 @@ from .scenes import BUILT_IN, PATH, lamp
 
 COUNTS = (1, 10, 100, 1000)
 KINDS = (BUILT_IN, "area", "solid_angle", "projected_solid_angle")
-REPEATS = 11
+ROUNDS = 5
+RENDERS = 3  # of each kind in a round
 
 
 def many_lamps(kind: str, count: int) -> mi.Scene:
@@ -41,40 +43,46 @@ def many_lamps(kind: str, count: int) -> mi.Scene:
     )
 
 
-def render_once(scene: mi.Scene, seed: int) -> dict:
-    """Size of the largest kernel of a render, and the times to trace and to execute it."""
+def measure(kind: str, count: int) -> dict:
+    """Kernel size, and medians of the time to trace and to execute a render.
+
+    The scene is loaded for this alone: a render traces the emitters of all living scenes.
+    """
+    scene = many_lamps(kind, count)
+    mi.render(scene, spp=64, seed=0).numpy()
+    tracing, execution = [], []
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        dr.kernel_history_clear()
-        start = time.perf_counter()
-        image = mi.render(scene, spp=64, seed=seed)
-        tracing = time.perf_counter() - start
-        image.numpy()
-        kernels = [k for k in dr.kernel_history() if "operation_count" in k]
-    largest = max(kernels, key=lambda kernel: kernel["operation_count"])
+        for seed in range(1, RENDERS + 1):
+            dr.kernel_history_clear()
+            start = time.perf_counter()
+            image = mi.render(scene, spp=64, seed=seed)
+            tracing.append(time.perf_counter() - start)
+            image.numpy()
+            kernels = [k for k in dr.kernel_history() if "operation_count" in k]
+            largest = max(kernels, key=lambda kernel: kernel["operation_count"])
+            execution.append(largest["execution_time"])
     ir = largest["ir"].getvalue() if hasattr(largest["ir"], "getvalue") else str(largest["ir"])
     return {
         "operations": largest["operation_count"],
         "callables": len(set(re.findall(r"^define .*@(func_\w+)", ir, re.MULTILINE))),
-        "tracing_ms": 1e3 * tracing,
-        "execution_ms": largest["execution_time"],
+        "tracing_ms": 1e3 * float(np.median(tracing)),
+        "execution_ms": float(np.median(execution)),
     }
 
 
 def run() -> dict:
-    """Table over numbers and kinds of lamps; medians, the kinds interleaved."""
+    """Table over numbers and kinds of lamps: medians over rounds, in which the kinds take turns."""
     results = {kind: {} for kind in KINDS}
     for count in COUNTS:
-        scenes = {kind: many_lamps(kind, count) for kind in KINDS}
-        runs = {kind: [] for kind in KINDS}
-        for seed in range(REPEATS + 1):
-            for kind, scene in scenes.items():
-                runs[kind].append(render_once(scene, seed))
-        for kind, rows in runs.items():
-            rows, base = rows[1:], runs[BUILT_IN][1:]  # The first compiles
-            ratios = [
-                row["execution_ms"] / other["execution_ms"]
-                for row, other in zip(rows, base, strict=True)
-            ]
+        rounds = []
+        for _ in range(ROUNDS):
+            rounds.append({})
+            for kind in KINDS:
+                rounds[-1][kind] = measure(kind, count)
+                gc.collect()
+        for kind in KINDS:
+            rows = [of[kind] for of in rounds]
+            ratios = [of[kind]["execution_ms"] / of[BUILT_IN]["execution_ms"] for of in rounds]
             results[kind][count] = row = rows[0] | {
                 "tracing_ms": float(np.median([row["tracing_ms"] for row in rows])),
                 "execution_ms": float(np.median([row["execution_ms"] for row in rows])),

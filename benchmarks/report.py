@@ -7,6 +7,9 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 
+from .accuracy import COLOURS
+from .scenes import MESH
+
 DOCS = Path(__file__).parent.parent / "docs"
 
 HEAD = """# What it costs and what it buys
@@ -136,7 +139,7 @@ def _growth(results: dict) -> str:
 
 def _plot(render_time: dict, error: dict) -> None:
     figure, (times, gains) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
-    kinds = ["area", "solid_angle", "projected_solid_angle", "64 triangles + area"]
+    kinds = ["area", "solid_angle", "projected_solid_angle", MESH]
     for k, kind in enumerate(kinds):
         found = [
             (scene + 0.15 * (k - 1.5), entry["ratios"][kind])
@@ -147,7 +150,8 @@ def _plot(render_time: dict, error: dict) -> None:
         below = [ratio["median"] - ratio["low"] for _, ratio in found]
         above = [ratio["high"] - ratio["median"] for _, ratio in found]
         places = [place for place, _ in found]
-        times.errorbar(places, median, (below, above), fmt="o", ms=4, capsize=2, label=kind)
+        style = {"color": COLOURS.get(kind, "black"), "label": kind}
+        times.errorbar(places, median, (below, above), fmt="o", ms=4, capsize=2, **style)
     times.axhline(1, color="grey", lw=0.8)
     times.set_xticks(range(len(render_time)), list(render_time), rotation=20, ha="right")
     times.set_ylabel("time of a render over disk + area")
@@ -158,7 +162,7 @@ def _plot(render_time: dict, error: dict) -> None:
     for k, kind in enumerate(kinds):
         places = [case + 0.15 * (k - 1.5) for case in range(len(cases))]
         values = [error["heights"][h][label][kind]["gain_trimmed"] for h, label in cases]
-        gains.plot(places, values, "o", ms=5, label=kind)
+        gains.plot(places, values, "o", ms=5, color=COLOURS[kind], label=kind)
     gains.axhline(1, color="grey", lw=0.8)
     gains.set_yscale("log")
     gains.set_xticks(range(len(cases)), [f"{label}\nlamp at {h}" for h, label in cases])
