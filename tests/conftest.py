@@ -6,6 +6,38 @@ import numpy as np
 import pytest
 from mi_ellipse import ellipse
 
+# All variants of the wheel that can run without a GPU
+VARIANTS = (
+    "llvm_ad_rgb",
+    "llvm_ad_spectral",
+    "llvm_ad_mono_polarized",
+    "llvm_ad_spectral_polarized",
+    "scalar_rgb",
+    "scalar_spectral",
+)
+
+# Width and height of the picture, and the file, of a scene that renders in no time
+SMALL_SIZE = 24, 16
+SMALL_SCENE = f"""
+<scene version="3.0.0">
+    <default name="radiance" value="1"/>
+    <integrator type="path"><integer name="max_depth" value="2"/></integrator>
+    <sensor type="perspective">
+        <transform name="to_world"><lookat origin="0,-4,3" target="0,0,0" up="0,0,1"/></transform>
+        <film type="hdrfilm">
+            <integer name="width" value="{SMALL_SIZE[0]}"/>
+            <integer name="height" value="{SMALL_SIZE[1]}"/>
+            <rfilter type="box"/>
+        </film>
+    </sensor>
+    <shape type="rectangle"><transform name="to_world"><scale value="3"/></transform></shape>
+    <shape type="ellipse">
+        <transform name="to_world"><rotate x="1" angle="180"/><translate z="1"/></transform>
+        <emitter type="ellipticalarea"><rgb name="radiance" value="$radiance"/></emitter>
+    </shape>
+</scene>
+"""
+
 
 @pytest.fixture
 def llvm_ad_rgb():

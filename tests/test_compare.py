@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import mitsuba as mi
 import numpy as np
 import pytest
+from conftest import SMALL_SCENE, SMALL_SIZE
 from mi_ellipse import cli, render
 from mi_ellipse.study import compare, figures, pictures
 from mi_ellipse.study.compare import match_samples
@@ -18,30 +19,10 @@ from mi_ellipse.study.reference import render_reference
 from mi_ellipse.study.results import EQUAL_SAMPLES, EQUAL_TIME
 from typer.testing import CliRunner
 
-WIDTH, HEIGHT = 24, 16
 STRATEGIES = ("area", "solid_angle")
 SPP = (2, 8)
 SEEDS = 2
-
-SCENE = f"""
-<scene version="3.0.0">
-    <default name="radiance" value="1"/>
-    <integrator type="path"><integer name="max_depth" value="2"/></integrator>
-    <sensor type="perspective">
-        <transform name="to_world"><lookat origin="0,-4,3" target="0,0,0" up="0,0,1"/></transform>
-        <film type="hdrfilm">
-            <integer name="width" value="{WIDTH}"/>
-            <integer name="height" value="{HEIGHT}"/>
-            <rfilter type="box"/>
-        </film>
-    </sensor>
-    <shape type="rectangle"><transform name="to_world"><scale value="3"/></transform></shape>
-    <shape type="ellipse">
-        <transform name="to_world"><rotate x="1" angle="180"/><translate z="1"/></transform>
-        <emitter type="ellipticalarea"><rgb name="radiance" value="$radiance"/></emitter>
-    </shape>
-</scene>
-"""
+WIDTH, HEIGHT = SMALL_SIZE
 
 
 @pytest.fixture(autouse=True)
@@ -52,7 +33,7 @@ def _variant():
 @pytest.fixture
 def scene_file(tmp_path):
     file = tmp_path / "scene.xml"
-    file.write_text(SCENE)
+    file.write_text(SMALL_SCENE)
     return file
 
 
@@ -60,7 +41,7 @@ def scene_file(tmp_path):
 def finished(tmp_path_factory):
     """A comparison made by the command: its folder, its arguments and what it printed."""
     folder = tmp_path_factory.mktemp("comparison")
-    (folder / "scene.xml").write_text(SCENE)
+    (folder / "scene.xml").write_text(SMALL_SCENE)
     arguments = [
         "compare", folder / "scene.xml", "--sampling", ",".join(STRATEGIES), "--spp", "8,2",
         "--reference-spp", 64, "--seeds", SEEDS, "-o", folder / "out", "-D", "radiance=2",
@@ -121,7 +102,7 @@ def test_pictures_are_those_of_mitsuba_and_say_how_they_were_made(finished):
     assert (metadata["sampling"], metadata["spp"], metadata["seed"]) == ("area", "8", "2")
     assert json.loads(metadata["parameters"]) == {"radiance": "2"}
     scene = mi.load_string(
-        SCENE.replace(
+        SMALL_SCENE.replace(
             '"ellipticalarea">', '"ellipticalarea"><string name="sampling" value="area"/>'
         ),
         radiance="2",
@@ -219,7 +200,7 @@ def test_other_settings_do_not_fit(finished, tmp_path, monkeypatch, change):
         parameters["radiance"] = "3"
     elif change == "scene":
         scene_file = tmp_path / "scene.xml"
-        scene_file.write_text(SCENE.replace("0,-4,3", "0,-5,3"))
+        scene_file.write_text(SMALL_SCENE.replace("0,-4,3", "0,-5,3"))
     elif change == "variant":
         mi.set_variant("llvm_ad_spectral")
     else:
@@ -231,7 +212,7 @@ def test_other_settings_do_not_fit(finished, tmp_path, monkeypatch, change):
 
 def test_comments_and_the_name_of_the_file_do_not_matter(finished, tmp_path):
     scene_file = tmp_path / "other.xml"
-    scene_file.write_text(SCENE.replace("<sensor", "<!-- a comment --> <sensor"))
+    scene_file.write_text(SMALL_SCENE.replace("<sensor", "<!-- a comment --> <sensor"))
     gallery = Gallery(finished.folder / "pictures", scene_file, {"radiance": "2"})
     assert gallery.find(Task(1, "area", 8))
 

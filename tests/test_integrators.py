@@ -7,7 +7,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from conftest import floor_and, lamp
+from conftest import VARIANTS, floor_and, lamp
 from mi_ellipse.sampling import STRATEGIES
 from oracle import rotation, translation
 from pictures import assert_same_expectation, render
@@ -20,14 +20,6 @@ LAMP = (
     @ np.diag([0.8, 0.4, 1, 1])
 )
 
-VARIANTS = (
-    "llvm_ad_rgb",
-    "llvm_ad_spectral",
-    "llvm_ad_mono_polarized",
-    "llvm_ad_spectral_polarized",
-    "scalar_rgb",
-    "scalar_spectral",
-)
 SAMPLERS = ("independent", "stratified", "multijitter", "orthogonal", "ldsampler")
 
 PATH = {"type": "path", "max_depth": 3}

@@ -11,30 +11,12 @@ from html.parser import HTMLParser
 import mitsuba as mi
 import numpy as np
 import pytest
+from conftest import SMALL_SCENE, SMALL_SIZE
 from mi_ellipse.study import compare
 from mi_ellipse.study.report import write_report
 
-WIDTH, HEIGHT = 24, 16
 STRATEGIES = ("area", "solid_angle")
-
-SCENE = f"""
-<scene version="3.0.0">
-    <integrator type="path"><integer name="max_depth" value="2"/></integrator>
-    <sensor type="perspective">
-        <transform name="to_world"><lookat origin="0,-4,3" target="0,0,0" up="0,0,1"/></transform>
-        <film type="hdrfilm">
-            <integer name="width" value="{WIDTH}"/>
-            <integer name="height" value="{HEIGHT}"/>
-            <rfilter type="box"/>
-        </film>
-    </sensor>
-    <shape type="rectangle"><transform name="to_world"><scale value="3"/></transform></shape>
-    <shape type="ellipse">
-        <transform name="to_world"><rotate x="1" angle="180"/><translate z="1"/></transform>
-        <emitter type="ellipticalarea"/>
-    </shape>
-</scene>
-"""
+WIDTH, HEIGHT = SMALL_SIZE
 
 CHROMIUM = os.environ.get("CHROMIUM") or next(
     filter(None, map(shutil.which, ("chromium", "chromium-headless-shell", "google-chrome"))), None
@@ -77,7 +59,7 @@ window.addEventListener("load", () => setTimeout(() => {
 def comparison(tmp_path_factory):
     mi.set_variant("llvm_ad_rgb")
     folder = tmp_path_factory.mktemp("report")
-    (folder / "scene.xml").write_text(SCENE)
+    (folder / "scene.xml").write_text(SMALL_SCENE)
     result = compare(
         folder / "scene.xml", folder / "out", STRATEGIES, (2, 8), 64, 2, say=lambda text: None
     )

@@ -4,20 +4,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from conftest import floor_and, lamp
+from conftest import VARIANTS, floor_and, lamp
 from mi_ellipse.sampling import STRATEGIES
 from oracle import rotation, translation
 from pictures import assert_same_expectation, render
 
 LAMP = translation(0, 0, 1) @ rotation([1, 0, 0], 180) @ np.diag([0.8, 0.4, 1, 1])
-ALL = (
-    "llvm_ad_rgb",
-    "llvm_ad_spectral",
-    "llvm_ad_mono_polarized",
-    "llvm_ad_spectral_polarized",
-    "scalar_rgb",
-    "scalar_spectral",
-)
 
 
 def scene(sampling, radiance=1.0):
@@ -31,13 +23,13 @@ def picture():
 def test_switching_and_back():
     """Every variant twice, the second time after all the others: the same picture."""
     first = {}
-    for variant in ALL:
+    for variant in VARIANTS:
         mi.set_variant(variant)
         first[variant] = picture()
         assert np.isfinite(first[variant]).all()
         # Single lamps of grey: the same mean in all, up to noise of 1024 samples
         assert first[variant].mean() == pytest.approx(first["llvm_ad_rgb"].mean(), rel=0.1)
-    for variant in reversed(ALL):
+    for variant in reversed(VARIANTS):
         mi.set_variant(variant)
         np.testing.assert_allclose(picture(), first[variant], rtol=1e-5, atol=1e-7)
 
