@@ -41,7 +41,10 @@ DEFENSIVE_SHARE = 0.15
 END_NODE = 0.06
 
 # Shape of the density of the slices: the slope of its distribution function falls from `PROFILE` to
-# `2 - PROFILE` at the rim of the cone, where the length of a slice falls to zero.
+# `2 - PROFILE` at the rim of the cone, where the length of a slice falls to zero. Small lights keep
+# a relative variance of .0025, and .0045 beside a horizon. With 1.78 that would be .0016 and .0024,
+# but the density of a direction would vary more along the cone, and with it that of directions
+# rounded in the world: of the draws for extreme lights, 98.7 % would agree to 1e-3 instead of 99 %.
 PROFILE = 1.7
 
 
