@@ -241,8 +241,8 @@ AGREEMENT = {
     # Falls linearly to zero at the horizon, and grows like one over the length of a slice at the
     # rim: there any rounding is large against it.
     "projected_solid_angle": [
-        (0.989, 1e-3, "all"),
-        (0.998, 1e-2, "all"),
+        (0.995, 1e-3, "all"),
+        (0.999, 1e-2, "all"),
         (0.999, 1e-4, "tb > 1e-3"),
     ],
 }
