@@ -61,10 +61,20 @@ class Cone(NamedTuple):
         return self.x * v.x + self.y * v.y + self.z * v.z
 
 
+def _rough_sqrt(x):
+    return dr.reinterpret_array(mi.Float, (dr.reinterpret_array(mi.Int32, x) >> 1) + 0x1fbd1df5)
+
+
+def _rough_div(x, y):
+    return dr.reinterpret_array(mi.Float, dr.reinterpret_array(mi.Int32, x)-dr.reinterpret_array(mi.Int32, y) + 0x3f7a3bea)
+
+
 def _positive_root(b: mi.Float, p: mi.Float, k: mi.Float) -> mi.Float:
     """Positive root of ``k x² - b x - p = 0`` for ``p ≥ 0``, ``k > 0``."""
-    q = 0.5 * (dr.abs(b) + dr.sqrt(dr.fma(b, b, 4 * k * p)))
-    return dr.select(b > 0, q, p) / dr.maximum(dr.select(b > 0, k, q), TINY)
+    k, p = 2 * k, 2 * p
+    q = dr.abs(b) + _rough_sqrt(dr.fma(b, b, k * p))
+    rising = b > 0
+    return _rough_div(dr.select(rising, q, p), dr.select(rising, k, q))
 
 
 def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
@@ -85,28 +95,35 @@ def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
     """
     x2, y2, z2 = centre.x * centre.x, centre.y * centre.y, centre.z * centre.z
     e2 = ratio * ratio
-    a = mi.Float(x2 + y2 + z2 - (1 + e2))
+    r2 = x2 + y2
+    m = dr.fma(y2, e2, x2)
+    a = mi.Float(r2 + z2 - (1 + e2))
     b = mi.Float(dr.fma(x2 - 1, e2, dr.fma(z2, 1 + e2, y2)))
+    middle, r2, m = mi.Float(dr.fma(r2, r2 + z2, -m)), mi.Float(r2), mi.Float(m)
     z2 = mi.Float(z2)
     c = z2 * mi.Float(e2)
 
     # λ² - a λ - b = 0 or -a λ² - b λ - c = 0
     large = b > 0
     root = _positive_root(dr.select(large, a, b), dr.select(large, b, c), dr.select(large, 1.0, -a))
-    for step in range(CAUCHY_STEPS + CHEBYSHEV_STEPS):
+    other = _positive_root(middle, m * z2, r2)
+    root = dr.select(other > root, other, root)
+    for step in range(2):
         first = root - a
         second = dr.fma(first, root, -b)
         value = dr.fma(second, root, -c)
         first += root
         slope = dr.fma(first, root, second)
         curvature = first + root  # Half the second derivative
-        if step < CAUCHY_STEPS:
-            disc = dr.maximum(dr.fma(slope, slope, -4 * curvature * value), 0)
+        if step == 0:
+            disc = dr.fma(slope, slope, -4 * curvature * value)
+            disc = dr.select(disc > 0, disc, 0)
             root -= 2 * value / dr.maximum(slope + dr.sqrt(disc), TINY)
         else:
             inv = dr.rcp(slope)
             change = value * inv
-            root -= dr.fma(change * change, curvature * inv, change)
+            q = change * (curvature * inv)
+            root -= change * dr.fma(q, dr.fma(2, q, 1), dr.fma(-change * change, inv, 1))
     root = dr.select(a > FAR, a, root)
     return dr.select(root > z2, root, z2)
 
@@ -124,43 +141,38 @@ def from_point(ellipse: Ellipse, reference: mi.Point3f) -> Cone:
 
     xc, yc, zc = mi.Float(centre.x), mi.Float(centre.y), mi.Float(centre.z)
     e2 = mi.Float(ellipse.ratio * ellipse.ratio)
-    inv_root = dr.rcp(root)
+    inv_root, inv_x, inv_y = dr.rcp(root), dr.rcp(1 + root), dr.rcp(e2 + root)
     height = zc * inv_root
-    # λ/(1 + λ) and λ/(e² + λ), which are 1 for the root of a far light
-    near = dr.minimum(root, 1e18)
-    inv = near * dr.rcp((1 + near) * (e2 + near))
-    x_part, y_part = (e2 + near) * inv, (1 + near) * inv
+
+    z = dr.normalize(mi.Vector3f(xc * (root * inv_x), yc * (root * inv_y), zc))
 
     # The two positive eigenvalues as μ1 and 1 - μ2/e²
-    yy = yc * yc * inv_root * eccentricity2 * y_part
+    yy = yc * yc * eccentricity2 * inv_y
     product = yy * e2  # of e² - μ2 and μ1 - e²
     t = dr.fma(zc, height, yy)
     sigma = t - e2
     disc = dr.sqrt(dr.fma(sigma, sigma, 4 * product))
     mu1 = 0.5 * (t + e2 + disc)
-    larger = dr.maximum(0.5 * (dr.abs(sigma) + disc), SMALLEST)
-    inv = dr.rcp(larger * mu1)
-    inv_mu1 = inv * larger
-    m2 = dr.select(sigma > 0, product * (inv * mu1), larger)
+    larger = dr.maximum(dr.abs(sigma) + disc, SMALLEST)
+    m2 = dr.select(sigma > 0, 2 * product * dr.rcp(larger), 0.5 * larger)
 
     # μ1 μ2 μ3 = det² gives the smaller eigenvalue its full precision
+    inv_mu1 = dr.rcp(mu1)
     ta2 = mu1 * inv_root
     tb2 = dr.square(height) * (e2 * inv_mu1)
-
-    z = dr.normalize(mi.Vector3f(xc * x_part, yc * y_part, zc))
 
     # Minor axis; it vanishes for a circle seen on its axis, where every direction will do.
     along = eccentricity2 + m2
     y = mi.Vector3f(
         xc * height * m2,
         yc * height * along,
-        -m2 * along * dr.square(ellipse.inv_ratio) * mu1,
+        -(dr.square(ellipse.inv_ratio) * mu1 * m2) * along,
     )
     # Only rounding is left of it there, or what is along z.
-    size2 = dr.squared_norm(y)
-    y = y - z * dr.dot(y, z)
-    left2 = dr.squared_norm(y)
-    y = dr.select(left2 > 0.25 * size2, y * dr.rsqrt(left2), mi.Vector3f(0, 1, 0))
+    size2, overlap = dr.squared_norm(y), dr.dot(y, z)
+    left2 = dr.fma(-overlap, overlap, size2)
+    y = (y - z * overlap) * dr.rsqrt(left2)
+    y = dr.select(left2 > 0.25 * size2, y, mi.Vector3f(0, 1, 0))
     return Cone(x=dr.cross(y, z), y=y, z=z, ta2=ta2, tb2=tb2, inv_ta2=root * inv_mu1)
 
 

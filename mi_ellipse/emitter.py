@@ -123,9 +123,11 @@ def define() -> type:
             return ds, mi.depolarizer(self.radiance.eval(si, valid) * weight)
 
         def _sample(self, light, it, sample):
-            record = self.strategy.prepare(light, it.p, it.n)
-            d, pdf, valid = self.strategy.sample(record, sample)
             centre = light.light_coordinates(it.p)
+            def draw(p, n, u):
+                record = self.strategy.prepare(light, p, n)
+                return self.strategy.sample(record, u)
+            d, pdf, valid = dr.if_stmt((it.p, it.n, sample), centre.z < 0, draw, lambda *_: (mi.Vector3f(0), mi.Float(0), mi.Mask(False)))
             valid &= (centre.z < 0) & (pdf > 0) & dr.isfinite(pdf)
             a, b, dist = light.point_from_direction(mi.Vector3f(centre), d)
             # From a point of the light itself the point drawn may be this same one, and the
@@ -149,10 +151,14 @@ def define() -> type:
             if light is None:
                 return mi.Float(0)
             with dr.suspend_grad():
-                record = self.strategy.prepare(light, it.p, it.n)
-                pdf = self.strategy.pdf(record, light.to_light(ds.d))
-                lit = active & (dr.dot(ds.d, ds.n) < 0) & dr.isfinite(pdf)
-                return dr.select(lit, pdf, 0)
+                lit = active & (dr.dot(ds.d, ds.n) < 0)
+                return dr.if_stmt((it.p, it.n, ds.d), lit, self._pdf, lambda *_: mi.Float(0))
+
+        def _pdf(self, p, n, d):
+            light = self.ellipse
+            record = self.strategy.prepare(light, p, n)
+            pdf = self.strategy.pdf(record, light.to_light(d))
+            return dr.select(dr.isfinite(pdf), pdf, 0)
 
         def eval_direction(self, it, ds, active=True):
             lit = active & (dr.dot(ds.d, ds.n) < 0)
