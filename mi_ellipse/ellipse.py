@@ -18,23 +18,35 @@ class Ellipse:
     """An elliptical light in world space, prepared once per light.
 
     The light is ``{centre + a·lx·ex + b·ly·ey : a² + b² ≤ 1}`` with ``lx ≥ ly``; it emits towards
-    ``normal = ex × ey``. Whatever cancels against the reference point is kept in double precision:
-    with a single-precision normal, the solid angle of a rotated light seen from its own plane is
-    off by factors of up to 20.
+    ``normal = ex × ey``. Directions and lengths are in double precision, so that their products
+    with the offset of a reference point may cancel: with a single-precision normal, the solid angle
+    of a rotated light seen from its own plane is off by factors of up to 20. The centre is in
+    single precision, as Mitsuba's shapes have it.
+
+    A kernel gathers these numbers for every path and call, so there are no more of them than eight
+    of double and five of single precision: two packets, with a radiance of three.
     """
 
-    centre: mi.Point3d
-    normal: mi.Vector3d
+    centre: mi.Point3f
     ex: mi.Vector3d  # Direction of the longer principal axis
     ey: mi.Vector3d  # Direction of the shorter principal axis
-    lx: mi.Float  # Length of the longer semi-axis
     inv_lx: mi.Float64  # 1 / lx
     ratio: mi.Float64  # ly / lx, in (0, 1]
+    lx: mi.Float  # Length of the longer semi-axis
     inv_ratio: mi.Float  # lx / ly
-    eccentricity2: mi.Float  # 1 - ratio², without cancellation
     parameter_cos: mi.Float  # First column of the rotation (or reflection) that takes principal
     parameter_sin: mi.Float  # coordinates (a, b) to those of the unit disk before `to_world`
     handedness: mi.Float  # +1 for that rotation, -1 for that reflection
+
+    @property
+    def normal(self) -> mi.Vector3d:
+        """Direction of emission."""
+        return dr.cross(self.ex, self.ey)
+
+    @property
+    def eccentricity2(self) -> mi.Float:
+        """``1 - ratio²``, without cancellation."""
+        return mi.Float((1 - self.ratio) * (1 + self.ratio))
 
     @property
     def ly(self) -> mi.Float:
@@ -52,7 +64,7 @@ class Ellipse:
         Its third component is positive behind the light and negative on the emitting side; it is
         never zero (`PLANE_FLOOR`).
         """
-        offset = (self.centre - mi.Point3d(reference)) * self.inv_lx
+        offset = (mi.Point3d(self.centre) - mi.Point3d(reference)) * self.inv_lx
         height = dr.dot(offset, self.normal)
         return mi.Vector3d(
             dr.dot(offset, self.ex),
@@ -108,7 +120,7 @@ class Ellipse:
 
     def point(self, a: mi.Float, b: mi.Float) -> mi.Point3f:
         """World-space point with the principal coordinates ``(a, b)``."""
-        return mi.Point3f(self.centre) + self.to_world(mi.Vector3f(a * self.lx, b * self.ly, 0))
+        return self.centre + self.to_world(mi.Vector3f(a * self.lx, b * self.ly, 0))
 
     def uv(self, a: mi.Float, b: mi.Float) -> mi.Point2f:
         """The (radius, angle / 2π) parameterisation of Mitsuba's `disk` at ``(a, b)``."""
@@ -162,15 +174,13 @@ def from_transform(to_world) -> Ellipse:
     ey = dr.cross(normal, ex)
 
     return Ellipse(
-        centre=mi.Point3d(centre),
-        normal=normal,
+        centre=mi.Point3f(centre),
         ex=ex,
         ey=ey,
-        lx=mi.Float(lx),
         inv_lx=dr.rcp(lx),
         ratio=ratio,
+        lx=mi.Float(lx),
         inv_ratio=mi.Float(dr.rcp(ratio)),
-        eccentricity2=mi.Float((1 - ratio) * (1 + ratio)),
         parameter_cos=mi.Float(cos_t),
         parameter_sin=mi.Float(sin_t),
         handedness=mi.Float(handedness),
