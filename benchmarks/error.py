@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import mitsuba as mi
 import numpy as np
 
 from .harness import PAIRS, Ratio, compare_times
-from .render_time import work
 from .scenes import BUILT_IN, LIGHT_SAMPLES, PATH, floor_ball_lamp
 
 HEIGHTS = (0.25, 0.6)
@@ -65,17 +66,15 @@ def run(pairs: int = PAIRS) -> dict:
         entry = results["heights"][str(height)] = {"floor": pixel_floor}
         print(f"lamp at {height}: floor of the pixel {pixel_floor:.2e}")
         for label, integrator in (("light samples", LIGHT_SAMPLES), ("MIS", PATH)):
-            scenes = {
-                kind: floor_ball_lamp(kind, integrator, height, SIZE) for kind in (BUILT_IN, *KINDS)
+            load = {
+                kind: partial(floor_ball_lamp, kind, integrator, height, SIZE)
+                for kind in (BUILT_IN, *KINDS)
             }
-            measured = {kind: errors(scene, reference) for kind, scene in scenes.items()}
-            ratios, _ = compare_times(
-                work(scenes[BUILT_IN], 4 * SPP),
-                {kind: work(scenes[kind], 4 * SPP) for kind in KINDS},
-                pairs,
-            )
+            measured = {kind: errors(load[kind](), reference) for kind in load}
+            others = {kind: load[kind] for kind in KINDS}
+            ratios, _ = compare_times(load[BUILT_IN], others, 4 * SPP, pairs)
             entry[label] = {
-                kind: _gains(measured, ratios.get(kind), kind, pixel_floor) for kind in scenes
+                kind: _gains(measured, ratios.get(kind), kind, pixel_floor) for kind in load
             }
             for kind, values in entry[label].items():
                 print(f"    {label:<14}{kind:<24}{values}")

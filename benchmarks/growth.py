@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from .harness import compare_times
-from .render_time import work
 from .scenes import BUILT_IN, floor_ball_lamp
 
 KINDS = (BUILT_IN, "solid_angle", "projected_solid_angle")
@@ -20,8 +21,8 @@ def run() -> dict:
     cases |= {f"{SIZE}², {spp} spp": (SIZE, spp) for spp in SAMPLES}
     results = {}
     for name, (size, spp) in cases.items():
-        base, *others = (work(floor_ball_lamp(kind, size=size), spp) for kind in KINDS)
-        ratios, seconds = compare_times(base, dict(zip(KINDS[1:], others, strict=True)), PAIRS)
+        load = {kind: partial(floor_ball_lamp, kind, size=size) for kind in KINDS}
+        ratios, seconds = compare_times(load.pop(BUILT_IN), load, spp, PAIRS)
         results[name] = {"seconds": seconds, "ratios": {k: vars(r) for k, r in ratios.items()}}
         print(f"{name:<16}{seconds:.4f} s  " + "  ".join(f"{k} {r}" for k, r in ratios.items()))
     return results

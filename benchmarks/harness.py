@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
 from scipy.stats import binom
+
+Loader = Callable[[], "mi.Scene"]  # One that can be pickled
 
 # Built-in against itself scatters by 10 % from pair to pair.
 PAIRS = 40
@@ -35,15 +40,57 @@ class Ratio:
         return f"{self.median:.3f} [{self.low:.3f}, {self.high:.3f}]"
 
 
+class Renderer:
+    """A scene in a process of its own.
+
+    Dr.Jit compiles the lights of all living scenes of a process into every render, and a kernel
+    with one kind of light is not that of several.
+    """
+
+    def __init__(self, load: Loader, spp: int):
+        context = multiprocessing.get_context("spawn")
+        self._connection, other = context.Pipe()
+        self._process = context.Process(target=_serve, args=(other, load, spp), daemon=True)
+        self._process.start()
+        other.close()
+
+    def time(self, seed: int) -> float:
+        """Seconds of a render."""
+        self._connection.send(seed)
+        return self._connection.recv()
+
+    def close(self) -> None:
+        """End the process."""
+        self._connection.close()
+        self._process.join()
+
+
+def _serve(connection: Connection, load: Loader, spp: int) -> None:
+    """Render once for every seed that arrives."""
+    mi.set_variant("llvm_ad_rgb")
+    scene = load()
+    while True:
+        try:
+            seed = connection.recv()
+        except EOFError:
+            return
+        start = time.perf_counter()
+        dr.eval(mi.render(scene, spp=spp, seed=seed))
+        dr.sync_thread()
+        connection.send(time.perf_counter() - start)
+
+
 def compare_times(
-    base: Callable[[int], None], others: dict[str, Callable[[int], None]], pairs: int = PAIRS
+    base: Loader, others: dict[str, Loader], spp: int, pairs: int = PAIRS
 ) -> tuple[dict[str, Ratio], float]:
-    """Time each of `others` right beside `base`, in changing order.
+    """Time renders of each of `others` right beside one of `base`, in changing order.
 
     Parameters
     ----------
     base, others
-        Functions of a seed that return once their work is done.
+        Functions that load a scene.
+    spp
+        Samples per pixel.
     pairs
         Number of pairs for each.
 
@@ -54,26 +101,22 @@ def compare_times(
     seconds
         Median time of `base`.
     """
-    for work in (base, *others.values()):
-        work(0)  # Compilation
-        work(1)
+    reference = Renderer(base, spp)
+    renderers = {name: Renderer(load, spp) for name, load in others.items()}
+    for renderer in (reference, *renderers.values()):
+        renderer.time(0)  # Compilation
+        renderer.time(1)
     ratios = {name: [] for name in others}
     seconds = []
     for k in range(pairs):
-        for name, other in others.items():
-            order = (base, other) if k % 2 else (other, base)
-            times = {work: _time(work, k) for work in order}
-            ratios[name].append(times[other] / times[base])
-            seconds.append(times[base])
+        for name, renderer in renderers.items():
+            order = (reference, renderer) if k % 2 else (renderer, reference)
+            times = {each: each.time(k) for each in order}
+            ratios[name].append(times[renderer] / times[reference])
+            seconds.append(times[reference])
+    for renderer in (reference, *renderers.values()):
+        renderer.close()
     return {name: Ratio.of(values) for name, values in ratios.items()}, float(np.median(seconds))
-
-
-def _time(work: Callable[[int], None], seed: int) -> float:
-    dr.sync_thread()
-    start = time.perf_counter()
-    work(seed)
-    dr.sync_thread()
-    return time.perf_counter() - start
 
 
 def machine() -> str:
