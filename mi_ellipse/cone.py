@@ -20,6 +20,9 @@ SMALLEST = 1e-20
 CAUCHY_STEPS = 1
 CHEBYSHEV_STEPS = 2
 
+# Squared distance from the axis, in units of the longer semi-axis, below which it does not matter.
+ON_AXIS = 1e-16
+
 # From here on the cubic's first coefficient is its root to single precision, and its terms are soon
 # out of range.
 FAR = 1e9
@@ -61,20 +64,12 @@ class Cone(NamedTuple):
         return self.x * v.x + self.y * v.y + self.z * v.z
 
 
-def _rough_sqrt(x):
-    return dr.reinterpret_array(mi.Float, (dr.reinterpret_array(mi.Int32, x) >> 1) + 0x1fbd1df5)
-
-
-def _rough_div(x, y):
-    return dr.reinterpret_array(mi.Float, dr.reinterpret_array(mi.Int32, x)-dr.reinterpret_array(mi.Int32, y) + 0x3f7a3bea)
-
-
 def _positive_root(b: mi.Float, p: mi.Float, k: mi.Float) -> mi.Float:
     """Positive root of ``k x² - b x - p = 0`` for ``p ≥ 0``, ``k > 0``."""
     k, p = 2 * k, 2 * p
-    q = dr.abs(b) + _rough_sqrt(dr.fma(b, b, k * p))
+    q = dr.abs(b) + dr.sqrt(dr.fma(b, b, k * p))
     rising = b > 0
-    return _rough_div(dr.select(rising, q, p), dr.select(rising, k, q))
+    return dr.select(rising, q, p) / dr.maximum(dr.select(rising, k, q), TINY)
 
 
 def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
@@ -95,8 +90,8 @@ def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
     """
     x2, y2, z2 = centre.x * centre.x, centre.y * centre.y, centre.z * centre.z
     e2 = ratio * ratio
-    r2 = x2 + y2
-    m = dr.fma(y2, e2, x2)
+    r2 = x2 + y2 + ON_AXIS
+    m = dr.fma(y2, e2, x2) + ON_AXIS
     a = mi.Float(r2 + z2 - (1 + e2))
     b = mi.Float(dr.fma(x2 - 1, e2, dr.fma(z2, 1 + e2, y2)))
     middle, r2, m = mi.Float(dr.fma(r2, r2 + z2, -m)), mi.Float(r2), mi.Float(m)

@@ -18,16 +18,14 @@ class Ellipse:
     """An elliptical light in world space, prepared once per light.
 
     The light is ``{centre + a·lx·ex + b·ly·ey : a² + b² ≤ 1}`` with ``lx ≥ ly``; it emits towards
-    ``normal = ex × ey``. Directions and lengths are in double precision, so that their products
-    with the offset of a reference point may cancel: with a single-precision normal, the solid angle
-    of a rotated light seen from its own plane is off by factors of up to 20. The centre is in
-    single precision, as Mitsuba's shapes have it.
+    ``normal = ex × ey``. Whatever cancels against the reference point is kept in double precision:
+    with a single-precision normal, the solid angle of a rotated light seen from its own plane is
+    off by factors of up to 20.
 
-    A kernel gathers these numbers for every path and call, so there are no more of them than eight
-    of double and five of single precision: two packets, with a radiance of three.
+    A kernel gathers these numbers for every path and call, so what follows from others is no field.
     """
 
-    centre: mi.Point3f
+    centre: mi.Point3d
     ex: mi.Vector3d  # Direction of the longer principal axis
     ey: mi.Vector3d  # Direction of the shorter principal axis
     inv_lx: mi.Float64  # 1 / lx
@@ -120,7 +118,8 @@ class Ellipse:
 
     def point(self, a: mi.Float, b: mi.Float) -> mi.Point3f:
         """World-space point with the principal coordinates ``(a, b)``."""
-        return self.centre + self.to_world(mi.Vector3f(a * self.lx, b * self.ly, 0))
+        offset = self.to_world(mi.Vector3f(a * self.lx, b * self.ly, 0))
+        return mi.Point3f(mi.Vector3f(self.centre) + offset)
 
     def uv(self, a: mi.Float, b: mi.Float) -> mi.Point2f:
         """The (radius, angle / 2π) parameterisation of Mitsuba's `disk` at ``(a, b)``."""
@@ -174,7 +173,7 @@ def from_transform(to_world) -> Ellipse:
     ey = dr.cross(normal, ex)
 
     return Ellipse(
-        centre=mi.Point3f(centre),
+        centre=mi.Point3d(centre),
         ex=ex,
         ey=ey,
         inv_lx=dr.rcp(lx),

@@ -89,8 +89,10 @@ def define() -> type:
                 name = "no shape" if shape is None else f"a {shape.class_name()}"
                 self._misplaced = MISPLACED.format(name)
                 raise ValueError(self._misplaced)
-            self.ellipse = ellipse.from_transform(dr.detach(mi.traverse(shape)["to_world"]))
-            dr.make_opaque(self.ellipse)
+            light = ellipse.from_transform(dr.detach(mi.traverse(shape)["to_world"]))
+            light.centre = mi.Point3f(light.centre)  # Which it is, and half as much to gather
+            dr.make_opaque(light)
+            self.ellipse = light
 
         def _attached(self) -> ellipse.Ellipse | None:
             """Geometry of the light; None without a shape and for one that has raised its error.
@@ -108,43 +110,55 @@ def define() -> type:
 
         # ---- Directions ------------------------------------------------------------------------
 
+        # Draws and densities are branches of the kernel. Dr.Jit calls the one kind of light of a
+        # scene for every packet of paths, active or not; a branch looks at the mask of the call.
+
         def sample_direction(self, it, sample, active=True):
             light = self._attached()
             if light is None:
                 return dr.zeros(mi.DirectionSample3f), dr.zeros(mi.Spectrum)
             with dr.suspend_grad():
-                ds, valid = self._sample(light, it, sample)
-            valid &= active
+                # This always holds, but Dr.Jit does not know: it drops a branch that it knows.
+                state = it.p, it.n, sample
+                drawn = dr.if_stmt(state, sample.x <= 1, self._draw, self._draw_nothing)
+                p, a, b, d, dist, pdf = drawn
+                ds = mi.DirectionSample3f()
+                ds.p = p
+                ds.n = mi.Normal3f(light.normal)
+                ds.uv = light.uv(a, b)
+                ds.time = it.time
+                ds.delta = False
+                ds.d = d
+                ds.dist = dist
+                ds.pdf = dr.select(active, pdf, 0)
             ds.emitter = mi.EmitterPtr(self) if dr.is_jit_v(mi.Float) else self
 
             si = mi.SurfaceInteraction3f(ds, it.wavelengths)
+            valid = ds.pdf > 0
             # Scalar variants raise an error on a division by zero.
             weight = dr.select(valid, dr.rcp(dr.select(valid, ds.pdf, 1)), 0)
             return ds, mi.depolarizer(self.radiance.eval(si, valid) * weight)
 
-        def _sample(self, light, it, sample):
-            centre = light.light_coordinates(it.p)
-            def draw(p, n, u):
-                record = self.strategy.prepare(light, p, n)
-                return self.strategy.sample(record, u)
-            d, pdf, valid = dr.if_stmt((it.p, it.n, sample), centre.z < 0, draw, lambda *_: (mi.Vector3f(0), mi.Float(0), mi.Mask(False)))
+        def _draw(self, p, n, u):
+            """Point of the light, its principal coordinates, direction, distance and density.
+
+            Integrators skip draws of no density; a NaN would survive a multiplication by zero.
+            """
+            light = self.ellipse
+            record = self.strategy.prepare(light, p, n)
+            d, pdf, valid = self.strategy.sample(record, u)
+            centre = light.light_coordinates(p)
             valid &= (centre.z < 0) & (pdf > 0) & dr.isfinite(pdf)
             a, b, dist = light.point_from_direction(mi.Vector3f(centre), d)
             # From a point of the light itself the point drawn may be this same one, and the
             # direction that `prb` and others take between the two is then 0/0.
-            valid &= dist > RESOLUTION * dr.max(dr.abs(it.p))
+            valid &= dist > RESOLUTION * dr.max(dr.abs(p))
+            pdf = dr.select(valid, pdf, 0)
+            return light.point(a, b), a, b, light.to_world(d), dist, pdf
 
-            ds = mi.DirectionSample3f()
-            ds.p = light.point(a, b)
-            ds.n = mi.Normal3f(light.normal)
-            ds.uv = light.uv(a, b)
-            ds.time = it.time
-            ds.delta = False
-            ds.d = light.to_world(d)
-            ds.dist = dist
-            # Integrators skip draws of no density; a NaN would survive a multiplication by zero.
-            ds.pdf = dr.select(valid, pdf, 0)
-            return ds, valid
+        def _draw_nothing(self, p, n, u):
+            zero = mi.Float(0)
+            return mi.Point3f(0), zero, zero, mi.Vector3f(0), zero, zero
 
         def pdf_direction(self, it, ds, active=True):
             light = self._attached()
@@ -155,9 +169,8 @@ def define() -> type:
                 return dr.if_stmt((it.p, it.n, ds.d), lit, self._pdf, lambda *_: mi.Float(0))
 
         def _pdf(self, p, n, d):
-            light = self.ellipse
-            record = self.strategy.prepare(light, p, n)
-            pdf = self.strategy.pdf(record, light.to_light(d))
+            record = self.strategy.prepare(self.ellipse, p, n)
+            pdf = self.strategy.pdf(record, self.ellipse.to_light(d))
             return dr.select(dr.isfinite(pdf), pdf, 0)
 
         def eval_direction(self, it, ds, active=True):
