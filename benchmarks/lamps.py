@@ -15,7 +15,10 @@ from .scenes import BUILT_IN, PATH, lamp
 COUNTS = (1, 10, 100, 1000)
 KINDS = (BUILT_IN, "area", "solid_angle", "projected_solid_angle")
 ROUNDS = 5
-RENDERS = 3  # of each kind in a round
+RENDERS = 2  # of each kind in a round
+# So many that the first moments of a kernel, when the main thread still clears away what it has
+# traced and takes time from one of two cores, do not count.
+SPP = 256
 
 
 def many_lamps(kind: str, count: int) -> mi.Scene:
@@ -49,13 +52,13 @@ def measure(kind: str, count: int) -> dict:
     The scene is loaded for this alone: a render traces the emitters of all living scenes.
     """
     scene = many_lamps(kind, count)
-    mi.render(scene, spp=64, seed=0).numpy()
+    mi.render(scene, spp=SPP, seed=0).numpy()
     tracing, execution = [], []
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         for seed in range(1, RENDERS + 1):
             dr.kernel_history_clear()
             start = time.perf_counter()
-            image = mi.render(scene, spp=64, seed=seed)
+            image = mi.render(scene, spp=SPP, seed=seed)
             tracing.append(time.perf_counter() - start)
             image.numpy()
             kernels = [k for k in dr.kernel_history() if "operation_count" in k]
