@@ -52,7 +52,9 @@ def _render_time(results: dict) -> str:
     return (
         "## Time of a render [render_time]\n\n"
         "Median ratio of the time of a whole render, with its 95 % interval. `disk + area` against"
-        " itself is the control.\n\n" + table(["scene", "lamp", "ratio", "95 %"], rows)
+        " itself is the control. Each scene is in a process of its own, as Dr.Jit compiles the"
+        " lights of all living scenes of a process into every render.\n\n"
+        + table(["scene", "lamp", "ratio", "95 %"], rows)
     )
 
 
@@ -101,7 +103,8 @@ def _lamps(results: dict) -> str:
     return (
         "## Many lamps [lamps]\n\n"
         "Operations and callables of the kernel, milliseconds to trace a lamp in every `mi.render`"
-        " (`dr.freeze` traces once), and the execution of the kernel against `disk + area`.\n\n"
+        " (`dr.freeze` traces once), and the execution of the kernel against `disk + area`, at 256"
+        " samples per pixel.\n\n"
         + table(
             ["lamps", "kind", "operations", "callables", "tracing, ms a lamp", "execution"], rows
         )

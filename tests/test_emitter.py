@@ -1,5 +1,6 @@
 """The plugins in scenes, against Mitsuba's `disk` + `area`."""
 
+import contextlib
 import gc
 import subprocess
 import sys
@@ -410,6 +411,22 @@ def test_kernels_do_not_grow_with_the_number_of_lamps(name):
 
 
 @jit
+@pytest.mark.parametrize("call", ["sample_direction", "pdf_direction"])
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_calls_for_inactive_paths_branch_before_they_work(name, call):
+    """The callable of a light's call jumps before its first division."""
+    scene = mi.load_dict(floor_and({"lamp": lamp(LAMP, name)}))
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        picture(scene, spp=1)
+        kernels = dr.kernel_history([dr.KernelType.JIT])
+    code = [part for kernel in kernels for part in kernel["ir"].getvalue().split("define ")]
+    # The lights of other tests may be alive, and then they are compiled as well.
+    callables = [part for part in code if f"; Call: Emitter::{call}()" in part]
+    assert any(0 < part.find("br i1") < part.find("fdiv") for part in callables)
+
+
+@jit
 @pytest.mark.parametrize("shape", ["ellipse", "disk"])
 def test_lamps_die_with_their_scene(shape):
     """All living emitters are traced in every render: a leaked lamp slows all later ones."""
@@ -455,6 +472,21 @@ def test_lamps_die_with_their_scene(shape):
 
 
 # ---- Pictures ----
+
+
+@jit
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_evaluated_calls_and_branches_give_the_same_picture(name):
+    """Dr.Jit's other mode, in which each call and branch is a kernel; the same random numbers."""
+    scene = mi.load_dict(floor_and({"lamp": lamp(LAMP, name)}))
+    symbolic = picture(scene, spp=16)
+    flags = dr.JitFlag.SymbolicCalls, dr.JitFlag.SymbolicLoops, dr.JitFlag.SymbolicConditionals
+    with contextlib.ExitStack() as stack:
+        for flag in flags:
+            stack.enter_context(dr.scoped_set_flag(flag, False))
+        evaluated = picture(scene, spp=16)
+    # Other kernels round differently.
+    np.testing.assert_allclose(evaluated, symbolic, rtol=1e-3)
 
 
 @jit
