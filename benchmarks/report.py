@@ -8,6 +8,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 from .accuracy import COLOURS
+from .lamps import SPP as LAMPS_SPP
 from .scenes import MESH
 
 DOCS = Path(__file__).parent.parent / "docs"
@@ -103,8 +104,8 @@ def _lamps(results: dict) -> str:
     return (
         "## Many lamps [lamps]\n\n"
         "Operations and callables of the kernel, milliseconds to trace a lamp in every `mi.render`"
-        " (`dr.freeze` traces once), and the execution of the kernel against `disk + area`, at 256"
-        " samples per pixel.\n\n"
+        " (`dr.freeze` traces once), and the execution of the kernel against `disk + area`, at"
+        f" {LAMPS_SPP} samples per pixel.\n\n"
         + table(
             ["lamps", "kind", "operations", "callables", "tracing, ms a lamp", "execution"], rows
         )
