@@ -57,7 +57,7 @@ class Cone(NamedTuple):
 
     def from_local(self, v: mi.Vector3f) -> mi.Vector3f:
         """Light-frame vector from its components along ``(x, y, z)``."""
-        return self.x * v.x + self.y * v.y + self.z * v.z
+        return dr.fma(self.x, v.x, dr.fma(self.y, v.y, self.z * v.z))
 
 
 def _positive_root(b: mi.Float, p: mi.Float, k: mi.Float) -> mi.Float:
@@ -138,7 +138,7 @@ def from_point(ellipse: Ellipse, reference: mi.Point3f) -> Cone:
     root = confocal_root(centre, ellipse.ratio)
 
     xc, yc, zc = mi.Float(centre.x), mi.Float(centre.y), mi.Float(centre.z)
-    e2 = mi.Float(ellipse.ratio * ellipse.ratio)
+    e2 = dr.square(mi.Float(ellipse.ratio))
     inv_root, inv_x, inv_y = dr.rcp(root), dr.rcp(1 + root), dr.rcp(e2 + root)
     height = zc * inv_root
 

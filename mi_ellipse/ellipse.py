@@ -12,6 +12,10 @@ import mitsuba as mi
 # single-precision coordinates resolve.
 PLANE_FLOOR = 1e-12
 
+# Distance, in units of the longer semi-axis, from which on directions along the plane count as
+# meeting it: a finite one, and far beyond the range of the cone.
+FARTHEST = 1e25
+
 
 @dataclass
 class Ellipse:
@@ -32,9 +36,9 @@ class Ellipse:
     ratio: mi.Float64  # ly / lx, in (0, 1]
     lx: mi.Float  # Length of the longer semi-axis
     inv_ratio: mi.Float  # lx / ly
-    parameter_cos: mi.Float  # First column of the rotation (or reflection) that takes principal
-    parameter_sin: mi.Float  # coordinates (a, b) to those of the unit disk before `to_world`
-    handedness: mi.Float  # +1 for that rotation, -1 for that reflection
+    parameter_cos: mi.Float64  # First column of the rotation (or reflection) that takes principal
+    parameter_sin: mi.Float64  # coordinates (a, b) to those of the unit disk before `to_world`
+    handedness: mi.Float64  # +1 for that rotation, -1 for that reflection
 
     @property
     def normal(self) -> mi.Vector3d:
@@ -44,7 +48,8 @@ class Ellipse:
     @property
     def eccentricity2(self) -> mi.Float:
         """``1 - ratio²``, without cancellation."""
-        return mi.Float((1 - self.ratio) * (1 + self.ratio))
+        ratio = mi.Float(self.ratio)
+        return (1 - ratio) * (1 + ratio)
 
     @property
     def ly(self) -> mi.Float:
@@ -77,8 +82,8 @@ class Ellipse:
 
     def to_world(self, v: mi.Vector3f) -> mi.Vector3f:
         """World-space vector from its components along ``(ex, ey, normal)``."""
-        ex, ey, normal = (mi.Vector3f(axis) for axis in (self.ex, self.ey, self.normal))
-        return ex * v.x + ey * v.y + normal * v.z
+        ex, ey = mi.Vector3f(self.ex), mi.Vector3f(self.ey)
+        return dr.fma(ex, v.x, dr.fma(ey, v.y, dr.cross(ex, ey) * v.z))
 
     def point_from_direction(
         self, centre: mi.Vector3f, direction: mi.Vector3f
@@ -101,31 +106,31 @@ class Ellipse:
         distance
             Distance from the reference point in world units.
         """
-        t = centre.z / direction.z
-        a = direction.x * t - centre.x
-        b = (direction.y * t - centre.y) * self.inv_ratio
-        near = (t > 0) & (t < 1)
+        t = dr.minimum(dr.abs(centre.z / direction.z), FARTHEST)
+        a = dr.fma(direction.x, t, -centre.x)
+        b = dr.fma(direction.y, t, -centre.y) * self.inv_ratio
+        near = t < 1
 
-        # A NaN or infinite coordinate ends at a bound, not in the result: fmin and fmax drop NaN.
-        a_clamped = dr.fmax(dr.fmin(a, 1), -1)
+        a_clamped = dr.clip(a, -1, 1)
         half_chord = dr.sqrt(dr.fma(-a_clamped, a_clamped, 1))
-        b_clamped = dr.fmax(dr.fmin(b, half_chord), -half_chord)
         a = dr.select(near, a, a_clamped)
-        b = dr.select(near, b, b_clamped)
-        y = dr.fma(b, mi.Float(self.ratio), centre.y)
-        distance = dr.select(near, t, dr.norm(mi.Vector3f(centre.x + a, y, centre.z)))
+        b = dr.select(near, b, dr.clip(b, -half_chord, half_chord))
+        offset = mi.Vector3f(centre.x + a, dr.fma(b, mi.Float(self.ratio), centre.y), centre.z)
+        distance = dr.select(near, t, dr.norm(offset))
         return a, b, distance * self.lx
 
     def point(self, a: mi.Float, b: mi.Float) -> mi.Point3f:
         """World-space point with the principal coordinates ``(a, b)``."""
-        offset = self.to_world(mi.Vector3f(a * self.lx, b * self.ly, 0))
-        return mi.Point3f(mi.Vector3f(self.centre) + offset)
+        ex, ey = mi.Vector3f(self.ex), mi.Vector3f(self.ey)
+        centre = mi.Vector3f(self.centre)
+        return mi.Point3f(dr.fma(ex, a * self.lx, dr.fma(ey, b * self.ly, centre)))
 
     def uv(self, a: mi.Float, b: mi.Float) -> mi.Point2f:
         """The (radius, angle / 2π) parameterisation of Mitsuba's `disk` at ``(a, b)``."""
-        b = b * self.handedness
-        x = self.parameter_cos * a - self.parameter_sin * b
-        y = self.parameter_sin * a + self.parameter_cos * b
+        c, s = mi.Float(self.parameter_cos), mi.Float(self.parameter_sin)
+        b = b * mi.Float(self.handedness)
+        x = c * a - s * b
+        y = s * a + c * b
         v = dr.atan2(y, x) * dr.inv_two_pi
         return mi.Point2f(dr.sqrt(x * x + y * y), dr.select(v < 0, v + 1, v))
 
@@ -136,9 +141,10 @@ class Ellipse:
 
     def from_disk(self, point: mi.Point2f) -> tuple[mi.Float, mi.Float]:
         """Principal coordinates of a point of the unit disk before `to_world`."""
-        a = self.parameter_cos * point.x + self.parameter_sin * point.y
-        b = self.parameter_cos * point.y - self.parameter_sin * point.x
-        return a, b * self.handedness
+        c, s = mi.Float(self.parameter_cos), mi.Float(self.parameter_sin)
+        a = c * point.x + s * point.y
+        b = c * point.y - s * point.x
+        return a, b * mi.Float(self.handedness)
 
 
 def from_transform(to_world) -> Ellipse:
@@ -180,7 +186,7 @@ def from_transform(to_world) -> Ellipse:
         ratio=ratio,
         lx=mi.Float(lx),
         inv_ratio=mi.Float(dr.rcp(ratio)),
-        parameter_cos=mi.Float(cos_t),
-        parameter_sin=mi.Float(sin_t),
-        handedness=mi.Float(handedness),
+        parameter_cos=cos_t,
+        parameter_sin=sin_t,
+        handedness=handedness,
     )

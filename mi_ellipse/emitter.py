@@ -117,48 +117,54 @@ def define() -> type:
             light = self._attached()
             if light is None:
                 return dr.zeros(mi.DirectionSample3f), dr.zeros(mi.Spectrum)
-            with dr.suspend_grad():
-                # This always holds, but Dr.Jit does not know: it drops a branch that it knows.
-                state = it.p, it.n, sample
-                drawn = dr.if_stmt(state, sample.x <= 1, self._draw, self._draw_nothing)
-                p, a, b, d, dist, pdf = drawn
-                ds = mi.DirectionSample3f()
-                ds.p = p
-                ds.n = mi.Normal3f(light.normal)
-                ds.uv = light.uv(a, b)
-                ds.time = it.time
-                ds.delta = False
-                ds.d = d
-                ds.dist = dist
-                ds.pdf = dr.select(active, pdf, 0)
+            # This always holds, but Dr.Jit does not know: it drops a branch that it knows.
+            state = it.p, it.n, it.wavelengths, sample
+            drawn = dr.if_stmt(state, sample.x <= 1, self._draw, self._draw_nothing)
+            p, d, dist, pdf, weight, uv = drawn
+            ds = mi.DirectionSample3f()
+            ds.p = p
+            ds.n = mi.Normal3f(light.normal)
+            ds.uv = uv
+            ds.time = it.time
+            ds.delta = False
+            ds.d = d
+            ds.dist = dist
+            ds.pdf = dr.select(active, pdf, 0)
             ds.emitter = mi.EmitterPtr(self) if dr.is_jit_v(mi.Float) else self
+            return ds, mi.depolarizer(weight)
 
-            si = mi.SurfaceInteraction3f(ds, it.wavelengths)
-            valid = ds.pdf > 0
-            # Scalar variants raise an error on a division by zero.
-            weight = dr.select(valid, dr.rcp(dr.select(valid, ds.pdf, 1)), 0)
-            return ds, mi.depolarizer(self.radiance.eval(si, valid) * weight)
-
-        def _draw(self, p, n, u):
-            """Point of the light, its principal coordinates, direction, distance and density.
+        def _draw(self, p, n, wavelengths, u):
+            """Point of the light, its uv, direction, distance and density, and weighted radiance.
 
             Integrators skip draws of no density; a NaN would survive a multiplication by zero.
             """
             light = self.ellipse
-            record = self.strategy.prepare(light, p, n)
-            d, pdf, valid = self.strategy.sample(record, u)
-            centre = light.light_coordinates(p)
-            valid &= (centre.z < 0) & (pdf > 0) & dr.isfinite(pdf)
-            a, b, dist = light.point_from_direction(mi.Vector3f(centre), d)
-            # From a point of the light itself the point drawn may be this same one, and the
-            # direction that `prb` and others take between the two is then 0/0.
-            valid &= dist > RESOLUTION * dr.max(dr.abs(p))
-            pdf = dr.select(valid, pdf, 0)
-            return light.point(a, b), a, b, light.to_world(d), dist, pdf
+            with dr.suspend_grad():
+                record = self.strategy.prepare(light, p, n)
+                d, pdf, valid = self.strategy.sample(record, u)
+                centre = mi.Vector3f(light.light_coordinates(p))
+                valid &= (centre.z < 0) & (pdf > 0) & (pdf < dr.inf)
+                a, b, dist = light.point_from_direction(centre, d)
+                # From a point of the light itself the point drawn may be this same one, and the
+                # direction that `prb` and others take between the two is then 0/0.
+                size = dr.abs(p)
+                size = dr.maximum(dr.maximum(size.x, size.y), size.z)
+                valid &= dist > RESOLUTION * size
+                pdf = dr.select(valid, pdf, 0)
+                # Scalar variants raise an error on a division by zero.
+                inv_pdf = dr.select(valid, dr.rcp(dr.select(valid, pdf, 1)), 0)
 
-        def _draw_nothing(self, p, n, u):
+                si = dr.zeros(mi.SurfaceInteraction3f)
+                si.p = light.point(a, b)
+                si.n = mi.Normal3f(light.normal)
+                si.uv = light.uv(a, b)
+                si.wavelengths = wavelengths
+                d = light.to_world(d)
+            return si.p, d, dist, pdf, self.radiance.eval(si, valid) * inv_pdf, si.uv
+
+        def _draw_nothing(self, p, n, wavelengths, u):
             zero = mi.Float(0)
-            return mi.Point3f(0), zero, zero, mi.Vector3f(0), zero, zero
+            return mi.Point3f(0), mi.Vector3f(0), zero, zero, mi.UnpolarizedSpectrum(0), mi.Point2f(0)
 
         def pdf_direction(self, it, ds, active=True):
             light = self._attached()

@@ -65,8 +65,8 @@ def radial_map(record: Record, c: mi.Float, s: mi.Float, radius2: mi.Float) -> m
         t -= (_cumulative(seen, t) - target) * solid_angle.rim(seen, tc, ts)
         t = dr.clip(t, 0, 0.5 * dr.pi)
     ts, tc = dr.sincos(t)
-    height = seen.a2 / solid_angle.rim(seen, tc, ts) * radius2
-    return solid_angle.direction(seen, dr.mulsign(tc, c), dr.mulsign(ts, s), height)
+    density = solid_angle.rim(seen, tc, ts)
+    return solid_angle.direction(seen, dr.mulsign(tc, c), dr.mulsign(ts, s), density, radius2)
 
 
 class Concentric:

@@ -18,6 +18,7 @@ class Record(NamedTuple):
     cone: Cone
     a2: mi.Float  # sin²(α/2), half the larger half-angle
     ratio: mi.Float  # sin(β/2) / sin(α/2), half the smaller half-angle over half the larger
+    ratio2: mi.Float  # Its square
     ka: mi.Float  # (sin(α/2) / ta)²
     kb: mi.Float  # (sin(β/2) / tb)²
     inv_kappa: mi.Float  # Strength of the angular warp, 1 for circles
@@ -40,7 +41,7 @@ def _azimuth(u: mi.Float) -> tuple[mi.Float, mi.Float]:
     return dr.fma(c, c, -s * s), 2 * c * s
 
 
-def _angular_warp(b0: mi.Float, b1: mi.Float) -> tuple[mi.Float, mi.Float]:
+def _angular_warp(a: mi.Float, b: mi.Float) -> tuple[mi.Float, mi.Float]:
     """Parameters 1/κ, ρ of the warp that makes the density more uniform along the azimuth.
 
     The plain half-angle map has the same density at both ends of the quadrant. κ takes away the
@@ -49,13 +50,11 @@ def _angular_warp(b0: mi.Float, b1: mi.Float) -> tuple[mi.Float, mi.Float]:
 
     Parameters
     ----------
-    b0, b1
-        ``1 / (2 (1 + cos α))`` of the larger and the smaller half-angle: ¼ for small lights, ½ for
-        those that fill the hemisphere.
+    a, b
+        ``1 - cos`` of the larger and the smaller half-angle.
     """
-    a, b = b0 - 0.25, b1 - 0.25
-    inv_kappa = dr.fma(a - b, dr.fma(a, dr.fma(-1.26, a, 1.78), b * dr.fma(6.17, a, -2.29)), 1)
-    rho = 1 - a * dr.fma(3.65, a, 1.34)
+    inv_kappa = dr.fma(a - b, dr.fma(a, dr.fma(0.08, a, 0.012), b * dr.fma(0.056, a, -0.059)), 1)
+    rho = dr.fma(a * dr.square(a), dr.fma(-0.551, a, 0.22), dr.fma(-0.232, a, 1))
     return inv_kappa, rho
 
 
@@ -72,7 +71,7 @@ def rim(record: Record, c: mi.Float, s: mi.Float) -> mi.Float:
     """
     c2, s2 = c * c, s * s
     stretch = dr.fma(record.ka, c2, record.kb * s2)
-    extent2 = record.a2 * dr.fma(dr.square(record.ratio), s2, c2)
+    extent2 = record.a2 * dr.fma(record.ratio2, s2, c2)
     secant2 = stretch + extent2  # stretch / cos² θmax
     return secant2 + dr.sqrt(stretch * secant2)
 
@@ -106,20 +105,23 @@ def warp(record: Record, c: mi.Float, s: mi.Float) -> Warped:
     )
 
 
-def direction(record: Record, c: mi.Float, s: mi.Float, height: mi.Float) -> mi.Vector3f:
+def direction(
+    record: Record, c: mi.Float, s: mi.Float, density: mi.Float, u: mi.Float
+) -> mi.Vector3f:
     """Direction in the cone's frame.
 
     Parameters
     ----------
-    c, s
-        Multiples of the cosine and sine of its azimuth's eccentric angle.
-    height
-        ``1 - cos θ`` over the squared distance of ``(c, ratio s)`` from the axis.
+    c, s, density
+        Multiples of the cosine and sine of its azimuth's eccentric angle, and `rim` there.
+    u
+        Fraction of ``1 - cos θmax``, in [0, 1].
     """
-    x, y = c, record.ratio * s
-    drop = height * dr.fma(x, x, y * y)
-    r = dr.sqrt(height * (2 - drop))
-    return mi.Vector3f(x * r, y * r, 1 - drop)
+    height = record.a2 * u
+    drop = height * dr.fma(record.ratio2 * s, s, c * c)  # density (1 - cos θ)
+    inv = dr.rcp(density)  # Beside the root, not after it
+    r = inv * dr.sqrt(height * dr.fma(2, density, -drop))
+    return mi.Vector3f(c * r, record.ratio * s * r, dr.fma(-drop, inv, 1))
 
 
 class SolidAngle:
@@ -127,25 +129,25 @@ class SolidAngle:
 
     The azimuth runs with the eccentric angle of an ellipse whose semi-axes are the sines of the
     half half-angles, corrected by one closed-form warp; along the radius ``1 - cos θ`` is uniform,
-    so the density depends on the azimuth alone. It is within ±0.03 % of uniform for half-angles up
-    to 45°, ±0.06 % up to 63° and ±1.8 % always. No elliptic integral, no inversion.
+    so the density depends on the azimuth alone. It is within ±0.06 % of uniform for half-angles up
+    to 63° and ±1.8 % always. No elliptic integral, no inversion.
     """
 
     def prepare(self, ellipse: Ellipse, reference: mi.Point3f, normal: mi.Normal3f) -> Record:
         """Cone and warp of a reference point; its normal is not used."""
         seen = cone.from_point(ellipse, reference)
-        # Beyond a tangent of 1e8 the half-angle is 90° to single precision.
-        ta2, tb2 = dr.minimum(seen.ta2, 1e16), dr.minimum(seen.tb2, 1e16)
-        qa, qb = 1 + ta2, 1 + tb2
-        fa, fb = qa + dr.sqrt(qa), qb + dr.sqrt(qb)
+        cos_a, cos_b = dr.rsqrt(1 + seen.ta2), dr.rsqrt(1 + seen.tb2)
+        inv_kappa, rho = _angular_warp(1 - cos_a, 1 - cos_b)
+        # (sin(α/2) / tan α)² = cos² α / (2 (1 + cos α))
+        fa, fb = 1 + cos_a, 1 + cos_b
         inv = 0.5 / (fa * fb)
-        ka, kb = inv * fb, inv * fa
-        inv_kappa, rho = _angular_warp(ka * qa, kb * qb)
-        inv_ta2 = dr.maximum(seen.inv_ta2, 1e-16)
+        ka, kb = dr.square(cos_a) * fb * inv, dr.square(cos_b) * fa * inv
+        ratio2 = 2 * fa * (seen.tb2 * kb) * (1 + seen.inv_ta2)
         return Record(
             cone=seen,
-            a2=ta2 * ka,
-            ratio=dr.sqrt(2 * tb2 * kb * inv_ta2 * fa),
+            a2=seen.ta2 * ka,
+            ratio=dr.sqrt(ratio2),
+            ratio2=ratio2,
             ka=ka,
             kb=kb,
             inv_kappa=inv_kappa,
@@ -156,12 +158,9 @@ class SolidAngle:
         """Direction along the light's ``(ex, ey, normal)``, its density, and validity."""
         c, s, growth, growth_over = warp(record, *_azimuth(u.x))
         density = rim(record, c, s)
-        # One division for two: the sine of half the smaller half-angle is that of the larger one
-        # times their ratio.
         spread = record.a2 * record.ratio * growth
-        inv = dr.rcp(density * spread)
-        pdf = dr.inv_two_pi * dr.square(density) * inv * growth_over
-        d = direction(record, c, s, record.a2 * u.y * (inv * spread))
+        pdf = dr.inv_two_pi * density / spread * growth_over
+        d = direction(record, c, s, density, u.y)
         return record.cone.from_local(d), pdf, mi.Mask(True)
 
     def pdf(self, record: Record, direction: mi.Vector3f) -> mi.Float:
