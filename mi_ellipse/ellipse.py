@@ -27,6 +27,8 @@ class Ellipse:
     off by factors of up to 20.
 
     A kernel gathers these numbers for every path and call, so what follows from others is no field.
+    It gathers up to eight of one size at once: the last three, which only textures need, have the
+    size that leaves room for a radiance beside the others of single precision.
     """
 
     centre: mi.Point3d
@@ -95,7 +97,7 @@ class Ellipse:
         centre
             What `light_coordinates` returned for the reference point.
         direction
-            Unit direction along ``(ex, ey, normal)``.
+            Unit direction along ``(ex, ey, normal)`` that meets the light.
 
         Returns
         -------

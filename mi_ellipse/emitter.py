@@ -110,8 +110,9 @@ def define() -> type:
 
         # ---- Directions ------------------------------------------------------------------------
 
-        # Draws and densities are branches of the kernel. Dr.Jit calls the one kind of light of a
-        # scene for every packet of paths, active or not; a branch looks at the mask of the call.
+        # Draws, with their radiance, and densities are branches of the kernel. Dr.Jit calls the one
+        # kind of light of a scene for every packet of paths, active or not; a branch looks at the
+        # mask of the call.
 
         def sample_direction(self, it, sample, active=True):
             light = self._attached()
@@ -131,10 +132,10 @@ def define() -> type:
             ds.dist = dist
             ds.pdf = dr.select(active, pdf, 0)
             ds.emitter = mi.EmitterPtr(self) if dr.is_jit_v(mi.Float) else self
-            return ds, mi.depolarizer(weight)
+            return ds, mi.depolarizer(dr.select(active, weight, 0))
 
         def _draw(self, p, n, wavelengths, u):
-            """Point of the light, its uv, direction, distance and density, and weighted radiance.
+            """Point of the light, direction, distance, density, radiance over density, and uv.
 
             Integrators skip draws of no density; a NaN would survive a multiplication by zero.
             """
@@ -147,9 +148,7 @@ def define() -> type:
                 a, b, dist = light.point_from_direction(centre, d)
                 # From a point of the light itself the point drawn may be this same one, and the
                 # direction that `prb` and others take between the two is then 0/0.
-                size = dr.abs(p)
-                size = dr.maximum(dr.maximum(size.x, size.y), size.z)
-                valid &= dist > RESOLUTION * size
+                valid &= dist > RESOLUTION * dr.max(dr.abs(p))
                 pdf = dr.select(valid, pdf, 0)
                 # Scalar variants raise an error on a division by zero.
                 inv_pdf = dr.select(valid, dr.rcp(dr.select(valid, pdf, 1)), 0)
@@ -163,8 +162,9 @@ def define() -> type:
             return si.p, d, dist, pdf, self.radiance.eval(si, valid) * inv_pdf, si.uv
 
         def _draw_nothing(self, p, n, wavelengths, u):
-            zero = mi.Float(0)
-            return mi.Point3f(0), mi.Vector3f(0), zero, zero, mi.UnpolarizedSpectrum(0), mi.Point2f(0)
+            zero, nowhere = mi.Float(0), mi.Vector3f(0)
+            dark = mi.UnpolarizedSpectrum(0)
+            return mi.Point3f(nowhere), nowhere, zero, zero, dark, mi.Point2f(0)
 
         def pdf_direction(self, it, ds, active=True):
             light = self._attached()
