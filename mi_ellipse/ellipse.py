@@ -49,7 +49,10 @@ class Ellipse:
 
     @property
     def eccentricity2(self) -> mi.Float:
-        """``1 - ratio²``, without cancellation."""
+        """``1 - ratio²`` of the ratio in single precision.
+
+        Near circles, where that rounding shows, it turns axes of the cone that do not matter there.
+        """
         ratio = mi.Float(self.ratio)
         return (1 - ratio) * (1 + ratio)
 
