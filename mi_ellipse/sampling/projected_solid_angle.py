@@ -8,7 +8,9 @@ import drjit as dr
 import mitsuba as mi
 
 from .. import cone
+from ..cone import Cone
 from ..ellipse import Ellipse
+from .solid_angle import SolidAngle
 
 # Squared scale of the tangent of the latitude: the primitive of (1 + c² T²)^(-3/2) is elementary,
 # and c² = 4/3 matches the wanted weight cos² λ to second order. Over slices from pole to pole the
@@ -16,9 +18,8 @@ from ..ellipse import Ellipse
 LATITUDE_SCALE2 = 4 / 3
 LONG_SLICES = 0.4
 
-# The peak of κ² (see `Record`), per squared slope of the middle line, and the largest ratio of the
-# density at the peak to that at a rim as a power 2/3.
-PEAK = 4
+# Largest κ η (see `Slices`). Even of the longest needles no more than 1e-4 lies beyond, and there
+# single precision no longer resolves τ.
 HIGHEST_PEAK = 30
 
 # A side of the horizon thinner than this part of the cone is left to the other side's density.
@@ -35,33 +36,39 @@ OUTER_NODE = 0.8
 
 
 class Record(NamedTuple):
-    """What is computed once per reference point.
+    """What is computed once per reference point."""
+
+    cone: Cone
+    n: mi.Vector3f  # Surface normal in the frame of the cone; zero in media
+
+
+class Slices(NamedTuple):
+    """The slices of a cone.
 
     Great circles through a pole perpendicular to the normal and to the axis of the cone slice it,
     so that the horizon is a slice too. A slice is given by ``η = tan(ψ/2)``, ψ the longitude from
     the axis towards the normal.
 
-    The densities are those of ``τ = η / √(1 + κ² η²)``. The slices cross a cone that is long and
-    tilted against them at latitudes that change fast with ψ, and the integral of the cosine falls
-    with their cosine: as a function of τ this peak is broad.
+    What is drawn is ``τ = η / √(1 + κ² η²)``. The slices cross a needle that is tilted against them
+    at latitudes that change fast with ψ, and the integral of the cosine falls with the fourth power
+    of the cosine of the latitude, from a peak in η that is broad in τ. κ η is the tangent of that
+    latitude, less where the slices are long.
     """
 
-    cone: cone.Cone
     m: mi.Vector2f  # Direction of the normal about the axis; the pole is (-m.y, m.x, 0)
     eta_max: mi.Float  # The cone covers [-eta_max, eta_max]
     inv_eta_max: mi.Float
     eta_horizon: mi.Float
-    peak2: mi.Float  # κ²
-    tau_max: mi.Float
+    kappa2: mi.Float  # κ²
+    tau_max: mi.Float  # τ at eta_max
     tau_horizon: mi.Float
     slope: mi.Float  # Tangent of the latitude of the slices' centres, over ½ sin ψ
     height: mi.Float  # and of their half-lengths, over √(1 - (tan ψ / tan ψmax)²)
-    scale: mi.Float  # c of `LATITUDE_SCALE2`, or 1 where there is no normal
+    scale: mi.Float  # c of `LATITUDE_SCALE2`
     inv_scale: mi.Float
-    no_normal: mi.Mask  # In media: uniform in solid angle
     straddling: mi.Mask  # The horizon divides the cone; η < eta_horizon is its minor side
     minor_share: mi.Float  # Probability of the minor side
-    at_horizon: float
+    at_horizon: float  # `AT_HORIZON`, or 0 for one side alone
 
 
 class Slice(NamedTuple):
@@ -91,30 +98,26 @@ def _not(mask: mi.Mask) -> mi.Mask:
     return dr.select(mask, mi.Mask(False), mi.Mask(True))
 
 
-def _tau(record: Record, eta: mi.Float) -> tuple[mi.Float, mi.Float]:
+def _tau(kappa2: mi.Float, eta: mi.Float) -> tuple[mi.Float, mi.Float]:
     """τ and its derivative."""
-    r = dr.rsqrt(dr.fma(record.peak2, eta * eta, 1))
+    r = dr.rsqrt(dr.fma(kappa2, eta * eta, 1))
     return eta * r, r * r * r
 
 
-def _eta(record: Record, tau: mi.Float) -> tuple[mi.Float, mi.Float]:
+def _eta(kappa2: mi.Float, tau: mi.Float) -> tuple[mi.Float, mi.Float]:
     """η and its derivative."""
-    r = dr.rsqrt(dr.fma(-record.peak2, tau * tau, 1))
+    r = dr.rsqrt(dr.fma(-kappa2, tau * tau, 1))
     return tau * r, r * r * r
 
 
-def _slice(record: Record, eta: mi.Float) -> Slice:
+def _slice(cut: Slices, eta: mi.Float) -> Slice:
     """The slice at η."""
     eta2 = eta * eta
     i = dr.rcp(1 + eta2)
-    inside = (
-        (record.eta_max - eta)
-        * (record.eta_max + eta)
-        * dr.fma(-dr.square(record.eta_max), eta2, 1)
-    )
-    scaled = record.scale * i
-    half = record.height * record.inv_eta_max * scaled * dr.sqrt(dr.maximum(inside, 0))
-    mid = record.slope * eta * scaled
+    inside = (cut.eta_max - eta) * (cut.eta_max + eta) * dr.fma(-dr.square(cut.eta_max), eta2, 1)
+    scaled = cut.scale * i
+    half = cut.height * cut.inv_eta_max * scaled * dr.sqrt(dr.maximum(inside, 0))
+    mid = cut.slope * eta * scaled
 
     a, b = mid - half, mid + half
     ra, rb = dr.sqrt(dr.fma(a, a, 1)), dr.sqrt(dr.fma(b, b, 1))
@@ -126,18 +129,18 @@ def _slice(record: Record, eta: mi.Float) -> Slice:
     return Slice(a * rb * over_roots, length, i)
 
 
-def _weight(record: Record, eta: mi.Float) -> mi.Float:
-    """Integral of the cosine over a slice, up to a constant; of one where there is no normal.
+def _weight(cut: Slices, eta: mi.Float) -> mi.Float:
+    """Integral of the cosine over a slice, up to a constant.
 
     The length of a slice is that of `_slice`, under one root with its other factors.
     """
     eta2 = eta * eta
     i = dr.rcp(1 + eta2)
-    x = eta * record.inv_eta_max
-    inside = (1 - x) * (1 + x) * dr.fma(-dr.square(record.eta_max), eta2, 1)
-    i2, scale2 = i * i, dr.square(record.scale)
-    centre2 = dr.square(record.slope) * eta2 * i2
-    mid2, half2 = scale2 * centre2, scale2 * dr.square(record.height) * i2 * inside
+    x = eta * cut.inv_eta_max
+    inside = (1 - x) * (1 + x) * dr.fma(-dr.square(cut.eta_max), eta2, 1)
+    i2, scale2 = i * i, dr.square(cut.scale)
+    centre2 = dr.square(cut.slope) * eta2 * i2
+    mid2, half2 = scale2 * centre2, scale2 * dr.square(cut.height) * i2 * inside
 
     # (length / 2 half)² = ratio / ((1 + a²) (1 + b²)) for a slice from a = mid - half to b
     ab = mid2 - half2
@@ -149,10 +152,10 @@ def _weight(record: Record, eta: mi.Float) -> mi.Float:
     ratio = dr.select(same_side, total, larger) / dr.select(same_side, larger, total)
     length2 = ratio * (inside / product)
 
-    above = dr.abs((eta - record.eta_horizon) * dr.fma(eta, record.eta_horizon, 1)) * i
+    above = dr.abs((eta - cut.eta_horizon) * dr.fma(eta, cut.eta_horizon, 1)) * i
     r2 = 1 + mid2
-    cosine = dr.select(record.no_normal, 1, above * r2 / dr.square(1 + centre2))
-    return i2 * cosine * dr.sqrt(length2 * dr.select(record.no_normal, 1, r2))
+    latitude = r2 / dr.square(1 + centre2)
+    return i2 * above * latitude * dr.sqrt(length2 * r2)
 
 
 def _profile(q: mi.Float, divided: mi.Mask, at_horizon: float) -> tuple[mi.Float, mi.Float]:
@@ -176,11 +179,11 @@ def _inverse_profile(u: mi.Float, divided: mi.Mask, at_horizon: float) -> mi.Flo
     return dr.select(divided, from_horizon, w)
 
 
-def _side(record: Record, minor: mi.Mask) -> Side:
+def _side(cut: Slices, minor: mi.Mask) -> Side:
     """Match the density of the slices on a side of the horizon."""
-    divided, at_horizon = record.straddling, record.at_horizon
-    start = dr.select(divided, record.tau_horizon, 0)
-    extent = dr.select(minor, -record.tau_max, record.tau_max) - start
+    divided, at_horizon = cut.straddling, cut.at_horizon
+    start = dr.select(divided, cut.tau_horizon, 0)
+    extent = dr.select(minor, -cut.tau_max, cut.tau_max) - start
     values = []
     for quantile in (0.0, 0.5, 1.0):
         q = min(max(_inverse_profile(quantile, True, at_horizon), END_NODE), 1 - END_NODE)
@@ -188,19 +191,19 @@ def _side(record: Record, minor: mi.Mask) -> Side:
         inv = dr.select(
             divided, 1 / _profile(q, True, at_horizon)[0], 1 / _profile(abs(x), False, 0)[0]
         )
-        eta, stretch = _eta(record, dr.fma(extent, dr.select(divided, q, x), start))
-        values.append(_weight(record, eta) * (inv * stretch))
+        eta, stretch = _eta(cut.kappa2, dr.fma(extent, dr.select(divided, q, x), start))
+        values.append(_weight(cut, eta) * (inv * stretch))
     s0, s1, s2 = values
     return Side(start, extent, s0, s1, s2, 0.25 * (s0 + 2 * s1 + s2))
 
 
-def _side_density(record: Record, side: Side, tau: mi.Float) -> mi.Float:
+def _side_density(cut: Slices, side: Side, tau: mi.Float) -> mi.Float:
     """Density of τ on one side."""
-    divided = record.straddling
+    divided = cut.straddling
     inv = dr.rcp(side.extent)
     x = (tau - side.start) * inv
     density, u = _profile(
-        dr.clip(dr.select(divided, x, dr.abs(x)), 1e-7, 1), divided, record.at_horizon
+        dr.clip(dr.select(divided, x, dr.abs(x)), 1e-7, 1), divided, cut.at_horizon
     )
     y = dr.select(divided, 2 * u - 1, dr.mulsign(u, x))  # -1, 0 and 1 where the factors are
     outer = dr.select(y < 0, side.s0, side.s2)
@@ -208,7 +211,7 @@ def _side_density(record: Record, side: Side, tau: mi.Float) -> mi.Float:
     return density * factor * dr.abs(inv) / dr.maximum(side.total, cone.TINY)
 
 
-def _draw_on_side(record: Record, side: Side, u: mi.Float) -> mi.Float:
+def _draw_on_side(cut: Slices, side: Side, u: mi.Float) -> mi.Float:
     """τ at which the distribution function of `_side_density` is u."""
     # In units of the sum of the factors; outwards from the middle one
     v = dr.fma(4 * side.total, u, -(side.s0 + side.s1))
@@ -217,29 +220,29 @@ def _draw_on_side(record: Record, side: Side, u: mi.Float) -> mi.Float:
     y = v / (side.s1 + dr.sqrt(dr.maximum(dr.fma(v, outer - side.s1, dr.square(side.s1)), 0)))
     y = dr.select(left, -y, y)
 
-    divided = record.straddling
+    divided = cut.straddling
     u = dr.select(divided, dr.fma(0.5, y, 0.5), dr.abs(y))
-    q = _inverse_profile(dr.clip(u, 1e-9, 1 - 6e-8), divided, record.at_horizon)
+    q = _inverse_profile(dr.clip(u, 1e-9, 1 - 6e-8), divided, cut.at_horizon)
     x = dr.select(left & _not(divided), -q, q)
     return dr.fma(side.extent, x, side.start)
 
 
-def _within(record: Record, eta: mi.Float) -> mi.Float:
+def _within(cut: Slices, eta: mi.Float) -> mi.Float:
     """η in the cone: rounding takes directions out of those thinner than its own spacing."""
-    limit = (1 - 3e-7) * record.eta_max
+    limit = (1 - 3e-7) * cut.eta_max
     return dr.clip(eta, -limit, limit)
 
 
 def _density(
-    record: Record, side: Side, minor: mi.Mask, eta: mi.Float, seen: Slice, tangent: mi.Float
+    cut: Slices, side: Side, minor: mi.Mask, eta: mi.Float, seen: Slice, tangent: mi.Float
 ) -> mi.Float:
     """Density per solid angle at the slice η, on this side, and the latitude with this tangent."""
-    share = dr.select(minor, record.minor_share, 1 - record.minor_share)
-    tau, stretch = _tau(record, eta)
-    density = share * stretch * _side_density(record, side, tau)
+    share = dr.select(minor, cut.minor_share, 1 - cut.minor_share)
+    tau, stretch = _tau(cut.kappa2, eta)
+    density = share * stretch * _side_density(cut, side, tau)
     tangent2 = dr.square(tangent)
-    r2 = (1 + tangent2) / dr.fma(dr.square(record.scale), tangent2, 1)
-    latitude = record.scale * r2 * dr.sqrt(r2)
+    r2 = (1 + tangent2) / dr.fma(dr.square(cut.scale), tangent2, 1)
+    latitude = cut.scale * r2 * dr.sqrt(r2)
     return 0.5 * density * latitude / (seen.length * seen.cos2_half)
 
 
@@ -253,6 +256,60 @@ def _minor_share(h: mi.Float) -> mi.Float:
     return 0.5 * (1 - h) * dr.fma(0.25, h, 1)
 
 
+def _slices(seen: Cone, n: mi.Vector3f, one_sided: bool) -> Slices:
+    """Slices of a cone for a normal in its frame."""
+    # Beyond a tangent of 1e8 the half-angle is 90° to single precision.
+    ta2, tb2 = dr.minimum(seen.ta2, 1e16), dr.minimum(seen.tb2, 1e16)
+
+    # The normal on the side of the axis
+    flipped = n.z < 0
+    nz, nm2 = dr.abs(n.z), dr.fma(n.x, n.x, n.y * n.y)
+    tilted = nm2 > 1e-12
+    inv_nm = dr.rsqrt(dr.maximum(nm2, 1e-12))
+    nm = nm2 * inv_nm
+    inv_nm = dr.select(flipped, -inv_nm, inv_nm)
+    m = mi.Vector2f(dr.select(tilted, n.x * inv_nm, 1), dr.select(tilted, n.y * inv_nm, 0))
+
+    # The dual cone diag(ta², tb², -1) along m, the pole and the axis
+    tan2_max = dr.fma(ta2 * m.x, m.x, tb2 * m.y * m.y)
+    inv_tan = dr.rsqrt(tan2_max)
+    secant = 1 + dr.sqrt(1 + tan2_max)
+    eta_max, inv_eta_max = tan2_max * inv_tan / secant, secant * inv_tan
+    inv_tan2 = dr.square(inv_tan)
+    slope = (tb2 - ta2) * (2 * m.x * m.y) * inv_tan2
+    height2 = tb2 * (ta2 * inv_tan2)
+    short = dr.rcp(1 + height2)
+    scale2 = dr.fma(-LONG_SLICES, short, LATITUDE_SCALE2 + LONG_SLICES)
+    inv_scale = dr.rsqrt(scale2)
+
+    kappa2 = dr.minimum(dr.square(slope) * short, dr.square(HIGHEST_PEAK * inv_eta_max))
+    eta_horizon = -nz / (1 + nm)
+    tau_max, tau_horizon = _tau(kappa2, eta_max)[0], _tau(kappa2, eta_horizon)[0]
+    straddling = tau_horizon > -tau_max * (1 - THINNEST_SIDE)
+    if one_sided:
+        share = dr.select(flipped, 1.0, 0.0)
+    else:
+        # Distance of the horizon from the axis of the cone, 1 being the rim
+        share = _minor_share(nz * inv_tan / dr.maximum(nm, cone.TINY))
+
+    return Slices(
+        m=m,
+        eta_max=eta_max,
+        inv_eta_max=inv_eta_max,
+        eta_horizon=eta_horizon,
+        kappa2=kappa2,
+        tau_max=tau_max,
+        tau_horizon=tau_horizon,
+        slope=slope,
+        height=dr.sqrt(height2),
+        scale=scale2 * inv_scale,
+        inv_scale=inv_scale,
+        straddling=straddling,
+        minor_share=dr.select(straddling, share, 0),
+        at_horizon=0 if one_sided else AT_HORIZON,
+    )
+
+
 class ProjectedSolidAngle:
     """Directions almost proportional to the cosine at the surface, over the whole light.
 
@@ -263,8 +320,7 @@ class ProjectedSolidAngle:
     The renderer tells an emitter the geometric normal and not which side of the surface is seen.
     Where the horizon divides the cone, each side gets a share of the draws, and the density does
     not vanish at the horizon. So the estimate is unbiased for two-sided, transmitting, bumped and
-    smoothly shaded surfaces. In media, where there is no normal, directions are almost uniform in
-    solid angle.
+    smoothly shaded surfaces. In media, where there is no normal, it is `solid_angle`.
 
     Parameters
     ----------
@@ -276,98 +332,70 @@ class ProjectedSolidAngle:
 
     def __init__(self, one_sided: bool = False):
         self.one_sided = one_sided
+        self.in_media = SolidAngle()
 
     def prepare(self, ellipse: Ellipse, reference: mi.Point3f, normal: mi.Normal3f) -> Record:
-        """Slices for a reference point and its normal."""
+        """Cone of a reference point, and its normal."""
         seen = cone.from_point(ellipse, reference)
-        n = seen.to_local(ellipse.to_light(normal))
-        # Beyond a tangent of 1e8 the half-angle is 90° to single precision.
-        ta2, tb2 = dr.minimum(seen.ta2, 1e16), dr.minimum(seen.tb2, 1e16)
-
-        # The normal on the side of the axis
-        flipped = n.z < 0
-        nz, nm2 = dr.abs(n.z), dr.fma(n.x, n.x, n.y * n.y)
-        tilted = nm2 > 1e-12
-        inv_nm = dr.rsqrt(dr.maximum(nm2, 1e-12))
-        nm = nm2 * inv_nm
-        no_normal = nm2 + nz == 0
-        inv_nm = dr.select(flipped, -inv_nm, inv_nm)
-        m = mi.Vector2f(dr.select(tilted, n.x * inv_nm, 1), dr.select(tilted, n.y * inv_nm, 0))
-
-        # The dual cone diag(ta², tb², -1) along m, the pole and the axis
-        tan2_max = dr.fma(ta2 * m.x, m.x, tb2 * m.y * m.y)
-        inv_tan = dr.rsqrt(tan2_max)
-        inv_tan2 = dr.square(inv_tan)
-        secant = 1 + dr.sqrt(1 + tan2_max)
-        eta_max, inv_eta_max = tan2_max * inv_tan / secant, secant * inv_tan
-        slope2 = (tb2 - ta2) * (2 * m.x * m.y) * inv_tan2
-        height2 = tb2 * (ta2 * inv_tan2)
-        short = dr.rcp(1 + height2)
-        scale2 = dr.fma(-LONG_SLICES, short, LATITUDE_SCALE2 + LONG_SLICES)
-        scale2 = dr.select(no_normal, 1, scale2)
-        inv_scale = dr.rsqrt(scale2)
-
-        record = Record(
-            cone=seen,
-            m=m,
-            eta_max=eta_max,
-            inv_eta_max=inv_eta_max,
-            eta_horizon=-nz / (1 + nm),
-            peak2=dr.minimum(
-                0.25 * PEAK * dr.square(slope2) * short, dr.square(HIGHEST_PEAK * inv_eta_max)
-            ),
-            tau_max=mi.Float(0),
-            tau_horizon=mi.Float(0),
-            slope=slope2,
-            height=dr.sqrt(height2),
-            scale=scale2 * inv_scale,
-            inv_scale=inv_scale,
-            no_normal=no_normal,
-            straddling=mi.Mask(False),
-            minor_share=mi.Float(0),
-            at_horizon=0 if self.one_sided else AT_HORIZON,
-        )
-        tau_max, tau_horizon = _tau(record, eta_max)[0], _tau(record, record.eta_horizon)[0]
-        straddling = (tau_horizon > -tau_max * (1 - THINNEST_SIDE)) & _not(no_normal)
-        # Distance of the horizon from the axis of the cone, 1 being the rim
-        h = nz * inv_tan / dr.maximum(nm, cone.TINY)
-        share = dr.select(flipped, 1.0, 0.0) if self.one_sided else _minor_share(h)
-        return record._replace(
-            tau_max=tau_max,
-            tau_horizon=tau_horizon,
-            straddling=straddling,
-            minor_share=dr.select(straddling, share, 0),
-        )
+        return Record(seen, seen.to_local(ellipse.to_light(normal)))
 
     def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
         """Direction along the light's ``(ex, ey, normal)``, its density, and validity."""
-        share = record.minor_share
+        d, pdf = self._on_surface_or_not(record, u, self._sample_slices, self._sample_cone)
+        return record.cone.from_local(d), pdf, mi.Mask(True)
+
+    def pdf(self, record: Record, direction: mi.Vector3f) -> mi.Float:
+        """Density of a direction that meets the light."""
+        d = record.cone.to_local(direction)
+        return self._on_surface_or_not(record, d, self._pdf_slices, self._pdf_cone)
+
+    def _on_surface_or_not(self, record: Record, argument, on_surface, in_medium):
+        """A branch of the kernel: paths in media and on surfaces come in packets of their own."""
+        # Dr.Jit takes the size of the branch from its condition: the second part always holds.
+        condition = (dr.squared_norm(record.n) > 0) & (argument.x < 2)
+        return dr.if_stmt(
+            (tuple(record.cone), record.n, argument), condition, on_surface, in_medium
+        )
+
+    def _sample_slices(self, seen, n, u):
+        """Direction in the frame of the cone and its density."""
+        cut = _slices(Cone(*seen), n, self.one_sided)
+        share = cut.minor_share
         minor = u.x < share
         u_side = dr.select(minor, u.x, u.x - share) / dr.select(minor, share, 1 - share)
-        side = _side(record, minor)
-        eta = _within(record, _eta(record, _draw_on_side(record, side, dr.clip(u_side, 0, 1)))[0])
+        side = _side(cut, minor)
+        tau = _draw_on_side(cut, side, dr.clip(u_side, 0, 1))
+        eta = _within(cut, _eta(cut.kappa2, tau)[0])
 
-        seen = _slice(record, eta)
+        seen = _slice(cut, eta)
         s = dr.fma(seen.length, u.y, seen.start)
-        tangent = s * record.inv_scale * dr.rsqrt(dr.maximum(dr.fma(-s, s, 1), cone.TINY))
+        tangent = s * cut.inv_scale * dr.rsqrt(dr.maximum(dr.fma(-s, s, 1), cone.TINY))
         cos_latitude = dr.rsqrt(1 + dr.square(tangent))
         dm = 2 * eta * seen.cos2_half * cos_latitude
         de = tangent * cos_latitude
-        m = record.m
+        m = cut.m
         d = mi.Vector3f(
             dr.fma(m.x, dm, -m.y * de),
             dr.fma(m.y, dm, m.x * de),
             dr.fma(2, seen.cos2_half, -1) * cos_latitude,
         )
-        pdf = _density(record, side, minor, eta, seen, tangent)
-        return record.cone.from_local(d), pdf, mi.Mask(True)
+        return d, _density(cut, side, minor, eta, seen, tangent)
 
-    def pdf(self, record: Record, direction: mi.Vector3f) -> mi.Float:
-        """Density of a direction that meets the light."""
-        d, m = record.cone.to_local(direction), record.m
+    def _pdf_slices(self, seen, n, d):
+        """Density of a direction in the frame of the cone."""
+        cut = _slices(Cone(*seen), n, self.one_sided)
+        m = cut.m
         dm, de = dr.fma(m.x, d.x, m.y * d.y), dr.fma(m.x, d.y, -m.y * d.x)
         # The pole itself has no longitude; the floor keeps the squared tangent finite.
         r = dr.maximum(dr.sqrt(dr.fma(dm, dm, d.z * d.z)), 1e-18)
-        eta = _within(record, dm / dr.maximum(r + d.z, 1e-18))
-        minor = record.straddling & (eta < record.eta_horizon)
-        return _density(record, _side(record, minor), minor, eta, _slice(record, eta), de / r)
+        eta = _within(cut, dm / dr.maximum(r + d.z, 1e-18))
+        minor = cut.straddling & (eta < cut.eta_horizon)
+        return _density(cut, _side(cut, minor), minor, eta, _slice(cut, eta), de / r)
+
+    def _sample_cone(self, seen, n, u):
+        """As `_sample_slices`, in media."""
+        return self.in_media.sample_local(self.in_media.record(Cone(*seen)), u)
+
+    def _pdf_cone(self, seen, n, d):
+        """As `_pdf_slices`, in media."""
+        return self.in_media.pdf_local(self.in_media.record(Cone(*seen)), d)

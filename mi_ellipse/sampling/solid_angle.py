@@ -137,7 +137,10 @@ class SolidAngle:
 
     def prepare(self, ellipse: Ellipse, reference: mi.Point3f, normal: mi.Normal3f) -> Record:
         """Cone and warp of a reference point; its normal is not used."""
-        seen = cone.from_point(ellipse, reference)
+        return self.record(cone.from_point(ellipse, reference))
+
+    def record(self, seen: Cone) -> Record:
+        """Warp of a cone."""
         cos_a, cos_b = dr.rsqrt(1 + seen.ta2), dr.rsqrt(1 + seen.tb2)
         fa, fb = 1 + cos_a, 1 + cos_b
         inv = 0.5 / (fa * fb)
@@ -158,16 +161,23 @@ class SolidAngle:
 
     def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
         """Direction along the light's ``(ex, ey, normal)``, its density, and validity."""
-        c, s, growth, growth_over = warp(record, *_azimuth(u.x))
-        density = rim(record, c, s)
-        spread = record.a2 * record.ratio * growth
-        pdf = dr.inv_two_pi * density / spread * growth_over
-        d = direction(record, c, s, density, u.y)
+        d, pdf = self.sample_local(record, u)
         return record.cone.from_local(d), pdf, mi.Mask(True)
 
     def pdf(self, record: Record, direction: mi.Vector3f) -> mi.Float:
         """Density of a direction that meets the light."""
-        d = record.cone.to_local(direction)
+        return self.pdf_local(record, record.cone.to_local(direction))
+
+    def sample_local(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float]:
+        """Direction in the frame of the cone, and its density."""
+        c, s, growth, growth_over = warp(record, *_azimuth(u.x))
+        density = rim(record, c, s)
+        spread = record.a2 * record.ratio * growth
+        pdf = dr.inv_two_pi * density / spread * growth_over
+        return direction(record, c, s, density, u.y), pdf
+
+    def pdf_local(self, record: Record, d: mi.Vector3f) -> mi.Float:
+        """Density of a direction in the frame of the cone."""
         c, s = d.x * record.ratio, d.y
         largest = dr.maximum(dr.abs(c), dr.abs(s))
         scale = dr.rcp(largest)
