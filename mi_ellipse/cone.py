@@ -7,7 +7,7 @@ from typing import NamedTuple
 import drjit as dr
 import mitsuba as mi
 
-from .ellipse import Ellipse
+from .ellipse import Ellipse, cross
 
 # Smallest normal single-precision number: a floor for denominators whose numerators vanish too.
 TINY = 1.1754944e-38
@@ -171,7 +171,7 @@ def from_point(ellipse: Ellipse, reference: mi.Point3f) -> Cone:
     left2 = dr.fma(-overlap, overlap, size2)
     y = (y - z * overlap) * dr.rsqrt(left2)
     y = dr.select(left2 > 0.25 * size2, y, mi.Vector3f(0, 1, 0))
-    return Cone(x=dr.cross(y, z), y=y, z=z, ta2=ta2, tb2=tb2, inv_ta2=root * inv_mu1)
+    return Cone(x=cross(y, z), y=y, z=z, ta2=ta2, tb2=tb2, inv_ta2=root * inv_mu1)
 
 
 def solid_angle(cone: Cone) -> mi.Float:

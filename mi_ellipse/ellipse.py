@@ -17,6 +17,15 @@ PLANE_FLOOR = 1e-12
 FARTHEST = 1e25
 
 
+def cross(a, b):
+    """Cross product: `drjit.cross`, which takes three times as long to trace."""
+    return type(a)(
+        dr.fma(a.y, b.z, -(a.z * b.y)),
+        dr.fma(a.z, b.x, -(a.x * b.z)),
+        dr.fma(a.x, b.y, -(a.y * b.x)),
+    )
+
+
 @dataclass
 class Ellipse:
     """An elliptical light in world space, prepared once per light.
@@ -45,7 +54,7 @@ class Ellipse:
     @property
     def normal(self) -> mi.Vector3d:
         """Direction of emission."""
-        return dr.cross(self.ex, self.ey)
+        return cross(self.ex, self.ey)
 
     @property
     def eccentricity2(self) -> mi.Float:
@@ -88,7 +97,7 @@ class Ellipse:
     def to_world(self, v: mi.Vector3f) -> mi.Vector3f:
         """World-space vector from its components along ``(ex, ey, normal)``."""
         ex, ey = mi.Vector3f(self.ex), mi.Vector3f(self.ey)
-        return dr.fma(ex, v.x, dr.fma(ey, v.y, dr.cross(ex, ey) * v.z))
+        return dr.fma(ex, v.x, dr.fma(ey, v.y, cross(ex, ey) * v.z))
 
     def point_from_direction(
         self, centre: mi.Vector3f, direction: mi.Vector3f
@@ -176,12 +185,12 @@ def from_transform(to_world) -> Ellipse:
     lx = dr.norm(major)
     ex = major / lx
 
-    cross = dr.cross(u, w)
-    area_over_pi = dr.norm(cross)
+    area_normal = cross(u, w)
+    area_over_pi = dr.norm(area_normal)
     ratio = dr.minimum(area_over_pi / (lx * lx), 1)
-    handedness = dr.mulsign(mi.Float64(1), dr.dot(cross, image_z))
-    normal = cross * (handedness / area_over_pi)
-    ey = dr.cross(normal, ex)
+    handedness = dr.mulsign(mi.Float64(1), dr.dot(area_normal, image_z))
+    normal = area_normal * (handedness / area_over_pi)
+    ey = cross(normal, ex)
 
     return Ellipse(
         centre=mi.Point3d(centre),
