@@ -156,6 +156,21 @@ def light_of(name, texture):
     return scene, scene.emitters()[0]
 
 
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_draws_in_scalar_variants(name):
+    """Python's floats raise an error where Dr.Jit's arrays divide by zero."""
+    mi.set_variant("scalar_rgb")
+    _scene, light = light_of(name, bitmap(wheel()))
+    it = mi.SurfaceInteraction3f()
+    it.n = mi.Normal3f(0, 0, 1)
+    for point in POINTS.values():
+        it.p = mi.Point3f(point)
+        for x in (0, 2**-24, 0.1, 0.6, 1 - 2**-24):
+            ds, weight = light.sample_direction(it, mi.Point2f(x, 0.3))
+            assert np.isfinite([ds.pdf, *weight]).all()
+            assert light.pdf_direction(it, ds) >= 0
+
+
 @pytest.mark.parametrize("point", POINTS)
 @pytest.mark.parametrize("name", STRATEGIES)
 def test_density_of_the_mixture(name, point):

@@ -18,23 +18,23 @@ from .solid_angle import SolidAngle
 LATITUDE_SCALE2 = 4 / 3
 LONG_SLICES = 0.4
 
-# Lights over which the cosine at the surface varies by less than this part are drawn uniformly in
-# solid angle, which takes half the time.
+# Lights over which the cosine at the surface stays within this part of that on the axis are drawn
+# uniformly in solid angle, which takes half the time.
 LEAST_CHANGE = 0.05
 
-# Largest κ η (see `Slices`). Even of the longest needles no more than 1e-4 lies beyond, and there
-# single precision no longer resolves τ.
-HIGHEST_PEAK = 30
+# Largest κ η (see `Slices`): single precision resolves η to 6e-4 there. The peak of longer needles
+# is narrower than what is drawn.
+HIGHEST_PEAK = 100
 
-# A side of the horizon thinner than this part of the cone is left to the other side's density.
+# A side of the horizon thinner than this part of τ_max is left to the other side's density.
 THINNEST_SIDE = 1e-5
 
-# Density at the horizon, as a part of its slope. Without it the density falls to zero at the
-# horizon of the geometric normal, where a shading normal's cosine does not.
+# Weight of q beside that of q² in `_profile`. Without it the density falls to zero at the horizon
+# of the geometric normal, where a shading normal's cosine does not.
 AT_HORIZON = 0.25
 
-# Slices whose density is matched: close to the ends of a side, where the limits themselves are 0/0,
-# and this far from the middle of a cone that the horizon does not divide.
+# Where the factors at the ends of a side are measured: at this q and at one minus it, as the limits
+# themselves are 0/0; and at this x of a cone that the horizon does not divide.
 END_NODE = 0.12
 OUTER_NODE = 0.8
 
@@ -55,8 +55,8 @@ class Slices(NamedTuple):
 
     What is drawn is ``τ = η / √(1 + κ² η²)``. The slices cross a needle that is tilted against them
     at latitudes that change fast with ψ, and the integral of the cosine falls with the fourth power
-    of the cosine of the latitude, from a peak in η that is broad in τ. κ η is the tangent of that
-    latitude, less where the slices are long.
+    of the cosine of the latitude, from a peak in η that is broad in τ. Near the axis κ η is the
+    tangent of that latitude, less where the slices are long.
     """
 
     m: mi.Vector2f  # Direction of the normal about the axis; the pole is (-m.y, m.x, 0)
@@ -67,7 +67,7 @@ class Slices(NamedTuple):
     tau_max: mi.Float  # τ at eta_max
     tau_horizon: mi.Float
     slope: mi.Float  # Tangent of the latitude of the slices' centres, over ½ sin ψ
-    height: mi.Float  # and of their half-lengths, over √(1 - (tan ψ / tan ψmax)²)
+    height: mi.Float  # and of their half-lengths, over cos ψ √(1 - (tan ψ / tan ψmax)²)
     scale: mi.Float  # c of `LATITUDE_SCALE2`
     inv_scale: mi.Float
     straddling: mi.Mask  # The horizon divides the cone; η < eta_horizon is its minor side
@@ -129,7 +129,7 @@ def _slice(cut: Slices, eta: mi.Float) -> Slice:
     inv = dr.rcp(total * ra * rb)
     over_roots = total * inv  # 1 / (ra rb)
     same_side = a * b > 0
-    length = dr.select(same_side, 4 * dr.abs(mid) * half * inv, total * over_roots)
+    length = dr.select(same_side, 4 * dr.abs(mid) * inv * half, total * over_roots)
     return Slice(a * rb * over_roots, length, i)
 
 
@@ -225,20 +225,20 @@ def _draw_on_side(cut: Slices, side: Side, u: mi.Float) -> mi.Float:
     y = dr.select(left, -y, y)
 
     divided = cut.straddling
-    u = dr.select(divided, dr.fma(0.5, y, 0.5), dr.abs(y))
-    q = _inverse_profile(dr.clip(u, 1e-9, 1 - 6e-8), divided, cut.at_horizon)
+    quantile = dr.clip(dr.select(divided, dr.fma(0.5, y, 0.5), dr.abs(y)), 1e-9, 1 - 6e-8)
+    q = _inverse_profile(quantile, divided, cut.at_horizon)
     x = dr.select(left & _not(divided), -q, q)
     return dr.fma(side.extent, x, side.start)
 
 
 def _within(cut: Slices, eta: mi.Float) -> mi.Float:
-    """η in the cone: rounding takes directions out of those thinner than its own spacing."""
+    """η in the cone: rounding takes directions out of cones thinner than the spacing of floats."""
     limit = (1 - 3e-7) * cut.eta_max
     return dr.clip(eta, -limit, limit)
 
 
 def _density(
-    cut: Slices, side: Side, minor: mi.Mask, eta: mi.Float, seen: Slice, tangent: mi.Float
+    cut: Slices, side: Side, minor: mi.Mask, eta: mi.Float, strip: Slice, tangent: mi.Float
 ) -> mi.Float:
     """Density per solid angle at the slice η, on this side, and the latitude with this tangent."""
     share = dr.select(minor, cut.minor_share, 1 - cut.minor_share)
@@ -247,15 +247,16 @@ def _density(
     tangent2 = dr.square(tangent)
     r2 = (1 + tangent2) / dr.fma(dr.square(cut.scale), tangent2, 1)
     latitude = cut.scale * r2 * dr.sqrt(r2)
-    return 0.5 * density * latitude / (seen.length * seen.cos2_half)
+    return 0.5 * density * latitude / (strip.length * strip.cos2_half)
 
 
 def _minor_share(h: mi.Float) -> mi.Float:
     """Share of the draws for the smaller side, the horizon at h between axis and rim.
 
     The sides of a small light are drawn in proportion to the power 3/8 of their irradiances: this
-    polynomial is within 11 % of that. The power 1 is best for the squared error of an image, 0 for
-    the mean relative variance.
+    polynomial is within 11 % of that up to h = .95. The power 1 is best for the squared error of an
+    image, 0 for the mean relative variance. For lights that fill the view, h being a ratio of
+    tangents, it comes close to 0.
     """
     return 0.5 * (1 - h) * dr.fma(0.25, h, 1)
 
@@ -318,8 +319,8 @@ class ProjectedSolidAngle:
     """Directions almost proportional to the cosine at the surface, over the whole light.
 
     The cone is cut into slices that the horizon does not cross; a slice is drawn from a density
-    that matches the integral of the cosine over it at three of them, and the latitude along it in
-    closed form. The density is exact and no iteration is needed.
+    that follows the integral of the cosine over it, taken at three of them, and the latitude along
+    it in closed form. The density is exact and no iteration is needed.
 
     The renderer tells an emitter the geometric normal and not which side of the surface is seen.
     Where the horizon divides the cone, each side gets a share of the draws, and the density does
@@ -330,9 +331,9 @@ class ProjectedSolidAngle:
     Parameters
     ----------
     one_sided
-        Draw only what lies above the surface, on the side of its geometric normal: less variance,
-        and a *biased* picture of surfaces seen from behind, of transmission, and of shading
-        normals that differ from the geometric one.
+        Of a light that the horizon divides, draw only what lies on the side of the geometric
+        normal: less variance, and a *biased* picture of surfaces seen from behind, of transmission,
+        and of shading normals that differ from the geometric one.
     """
 
     def __init__(self, one_sided: bool = False):
@@ -369,24 +370,25 @@ class ProjectedSolidAngle:
         cut = _slices(Cone(*seen), n, self.one_sided)
         share = cut.minor_share
         minor = u.x < share
-        u_side = dr.select(minor, u.x, u.x - share) / dr.select(minor, share, 1 - share)
+        width = dr.maximum(dr.select(minor, share, 1 - share), cone.TINY)  # 0 for no draws
+        u_side = dr.select(minor, u.x, u.x - share) / width
         side = _side(cut, minor)
         tau = _draw_on_side(cut, side, dr.clip(u_side, 0, 1))
         eta = _within(cut, _eta(cut.kappa2, tau)[0])
 
-        seen = _slice(cut, eta)
-        s = dr.fma(seen.length, u.y, seen.start)
+        strip = _slice(cut, eta)
+        s = dr.fma(strip.length, u.y, strip.start)
         tangent = s * cut.inv_scale * dr.rsqrt(dr.maximum(dr.fma(-s, s, 1), cone.TINY))
         cos_latitude = dr.rsqrt(1 + dr.square(tangent))
-        dm = 2 * eta * seen.cos2_half * cos_latitude
+        dm = 2 * eta * strip.cos2_half * cos_latitude
         de = tangent * cos_latitude
         m = cut.m
         d = mi.Vector3f(
             dr.fma(m.x, dm, -m.y * de),
             dr.fma(m.y, dm, m.x * de),
-            dr.fma(2, seen.cos2_half, -1) * cos_latitude,
+            dr.fma(2, strip.cos2_half, -1) * cos_latitude,
         )
-        return d, _density(cut, side, minor, eta, seen, tangent)
+        return d, _density(cut, side, minor, eta, strip, tangent)
 
     def _pdf_slices(self, seen, n, d):
         """Density of a direction in the frame of the cone."""
