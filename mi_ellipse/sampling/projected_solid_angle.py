@@ -370,7 +370,7 @@ class ProjectedSolidAngle:
         cut = _slices(Cone(*seen), n, self.one_sided)
         share = cut.minor_share
         minor = u.x < share
-        width = dr.maximum(dr.select(minor, share, 1 - share), cone.TINY)  # 0 for no draws
+        width = dr.maximum(dr.select(minor, share, 1 - share), cone.TINY)  # Or no draws
         u_side = dr.select(minor, u.x, u.x - share) / width
         side = _side(cut, minor)
         tau = _draw_on_side(cut, side, dr.clip(u_side, 0, 1))
