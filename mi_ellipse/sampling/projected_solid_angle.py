@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import drjit as dr
@@ -114,15 +115,29 @@ def _eta(kappa2: mi.Float, tau: mi.Float) -> tuple[mi.Float, mi.Float]:
     return tau * r, r * r * r
 
 
+class _CrossSection(NamedTuple):
+    """Where a slice meets the cone, as tangents of the latitude times c of `LATITUDE_SCALE2`."""
+
+    mid: mi.Float
+    size: mi.Float  # Half-length in the middle of the cone
+    inside: mi.Float  # Square of the part of it that is left at this η
+    cos2_half: mi.Float
+
+
+def _cross_section(cut: Slices, eta: mi.Float) -> _CrossSection:
+    eta2, inv = eta * eta, cut.inv_eta_max
+    i = dr.rcp(1 + eta2)
+    scaled = cut.scale * i
+    # The differences are exact at a rim
+    inside = ((cut.eta_max - eta) * inv) * ((cut.eta_max + eta) * inv)
+    inside *= dr.fma(-dr.square(cut.eta_max), eta2, 1)
+    return _CrossSection(cut.slope * eta * scaled, cut.height * scaled, inside, i)
+
+
 def _slice(cut: Slices, eta: mi.Float) -> Slice:
     """The slice at η."""
-    eta2 = eta * eta
-    i = dr.rcp(1 + eta2)
-    inside = (cut.eta_max - eta) * (cut.eta_max + eta) * dr.fma(-dr.square(cut.eta_max), eta2, 1)
-    scaled = cut.scale * i
-    half = cut.height * cut.inv_eta_max * scaled * dr.sqrt(dr.maximum(inside, 0))
-    mid = cut.slope * eta * scaled
-
+    mid, size, inside, i = _cross_section(cut, eta)
+    half = size * dr.sqrt(dr.maximum(inside, 0))
     a, b = mid - half, mid + half
     ra, rb = dr.sqrt(dr.fma(a, a, 1)), dr.sqrt(dr.fma(b, b, 1))
     total = dr.maximum(dr.fma(dr.abs(b), ra, dr.abs(a) * rb), cone.TINY)
@@ -138,13 +153,8 @@ def _weight(cut: Slices, eta: mi.Float) -> mi.Float:
 
     The length of a slice is that of `_slice`, under one root with its other factors.
     """
-    eta2 = eta * eta
-    i = dr.rcp(1 + eta2)
-    x = eta * cut.inv_eta_max
-    inside = (1 - x) * (1 + x) * dr.fma(-dr.square(cut.eta_max), eta2, 1)
-    i2, scale2 = i * i, dr.square(cut.scale)
-    centre2 = dr.square(cut.slope) * eta2 * i2
-    mid2, half2 = scale2 * centre2, scale2 * dr.square(cut.height) * i2 * inside
+    mid, size, inside, i = _cross_section(cut, eta)
+    mid2, half2 = mid * mid, size * size * inside
 
     # (length / 2 half)² = ratio / ((1 + a²) (1 + b²)) for a slice from a = mid - half to b
     ab = mid2 - half2
@@ -158,8 +168,8 @@ def _weight(cut: Slices, eta: mi.Float) -> mi.Float:
 
     above = dr.abs((eta - cut.eta_horizon) * dr.fma(eta, cut.eta_horizon, 1)) * i
     r2 = 1 + mid2
-    latitude = r2 / dr.square(1 + centre2)
-    return i2 * above * latitude * dr.sqrt(length2 * r2)
+    latitude = r2 / dr.square(dr.fma(mid2, dr.square(cut.inv_scale), 1))
+    return i * i * above * latitude * dr.sqrt(length2 * r2)
 
 
 def _profile(q: mi.Float, divided: mi.Mask, at_horizon: float) -> tuple[mi.Float, mi.Float]:
@@ -183,20 +193,31 @@ def _inverse_profile(u: mi.Float, divided: mi.Mask, at_horizon: float) -> mi.Flo
     return dr.select(divided, from_horizon, w)
 
 
-def _side(cut: Slices, minor: mi.Mask) -> Side:
-    """Match the density of the slices on a side of the horizon."""
-    divided, at_horizon = cut.straddling, cut.at_horizon
-    start = dr.select(divided, cut.tau_horizon, 0)
-    extent = dr.select(minor, -cut.tau_max, cut.tau_max) - start
-    values = []
+@cache
+def _nodes(at_horizon: float) -> tuple[tuple[float, float, float, float], ...]:
+    """Where the factors are measured, and one over the profile there.
+
+    As q and its reciprocal density for a cone that the horizon divides, then x and its for others.
+    """
+    nodes = []
     for quantile in (0.0, 0.5, 1.0):
         q = min(max(_inverse_profile(quantile, True, at_horizon), END_NODE), 1 - END_NODE)
         x = (2 * quantile - 1) * OUTER_NODE
-        inv = dr.select(
-            divided, 1 / _profile(q, True, at_horizon)[0], 1 / _profile(abs(x), False, 0)[0]
-        )
+        p_divided, _ = _profile(q, True, at_horizon)
+        p_whole, _ = _profile(abs(x), False, at_horizon)
+        nodes.append((q, 1 / p_divided, x, 1 / p_whole))
+    return tuple(nodes)
+
+
+def _side(cut: Slices, minor: mi.Mask) -> Side:
+    """Match the density of the slices on a side of the horizon."""
+    divided = cut.straddling
+    start = dr.select(divided, cut.tau_horizon, 0)
+    extent = dr.select(minor, -cut.tau_max, cut.tau_max) - start
+    values = []
+    for q, inv_divided, x, inv_whole in _nodes(cut.at_horizon):
         eta, stretch = _eta(cut.kappa2, dr.fma(extent, dr.select(divided, q, x), start))
-        values.append(_weight(cut, eta) * (inv * stretch))
+        values.append(_weight(cut, eta) * (dr.select(divided, inv_divided, inv_whole) * stretch))
     s0, s1, s2 = values
     return Side(start, extent, s0, s1, s2, 0.25 * (s0 + 2 * s1 + s2))
 
@@ -255,8 +276,8 @@ def _minor_share(h: mi.Float) -> mi.Float:
 
     The sides of a small light are drawn in proportion to the power 3/8 of their irradiances: this
     polynomial is within 11 % of that up to h = .95. The power 1 is best for the squared error of an
-    image, 0 for the mean relative variance. For lights that fill the view, h being a ratio of
-    tangents, it comes close to 0.
+    image, 0 for the mean relative variance. For lights that fill the view the share comes close to
+    one half, h being a ratio of tangents.
     """
     return 0.5 * (1 - h) * dr.fma(0.25, h, 1)
 
@@ -370,7 +391,8 @@ class ProjectedSolidAngle:
         cut = _slices(Cone(*seen), n, self.one_sided)
         share = cut.minor_share
         minor = u.x < share
-        width = dr.maximum(dr.select(minor, share, 1 - share), cone.TINY)  # Or no draws
+        # A side with no share has no draws, but a width to divide by.
+        width = dr.maximum(dr.select(minor, share, 1 - share), cone.TINY)
         u_side = dr.select(minor, u.x, u.x - share) / width
         side = _side(cut, minor)
         tau = _draw_on_side(cut, side, dr.clip(u_side, 0, 1))
