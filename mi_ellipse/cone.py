@@ -40,6 +40,7 @@ class Cone(NamedTuple):
     ta2: mi.Float  # Squared tangent of the larger half-angle
     tb2: mi.Float  # Squared tangent of the smaller half-angle
     inv_ta2: mi.Float  # 1 / ta2
+    centre: mi.Vector3f  # Of the light, as `Ellipse.light_coordinates` has it
 
     @property
     def ta(self) -> mi.Float:
@@ -62,7 +63,7 @@ class Cone(NamedTuple):
 
 def _positive_root(b: mi.Float, p: mi.Float, k: mi.Float) -> mi.Float:
     """Positive root of ``k x² - b x - p = 0`` for ``p ≥ 0``, ``k > 0``."""
-    k, p = 2 * k, 2 * p
+    k, p = k + k, p + p
     q = dr.abs(b) + dr.sqrt(dr.fma(b, b, k * p))
     rising = b > 0
     return dr.select(rising, q, p) / dr.maximum(dr.select(rising, k, q), TINY)
@@ -88,15 +89,17 @@ def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
     less than 3e-10 above its plane) terms of the cubic leave the range of single precision, and the
     error can be as large as the root.
     """
-    x2, y2, z2 = centre.x * centre.x, centre.y * centre.y, centre.z * centre.z
-    e2 = ratio * ratio
-    r2 = x2 + y2 + ON_AXIS
-    m = dr.fma(y2, e2, x2) + ON_AXIS
-    a = mi.Float(r2 + z2 - (1 + e2))
-    b = mi.Float(dr.fma(x2 - 1, e2, dr.fma(z2, 1 + e2, y2)))
-    middle, r2, m = mi.Float(dr.fma(r2, r2 + z2, -m)), mi.Float(r2), mi.Float(m)
-    z2 = mi.Float(z2)
+    x, y, z = centre
+    x2, y2, z2, e2 = dr.fma(x, x, ON_AXIS), y * y, z * z, ratio * ratio
+    yz2, beyond = y2 + z2, x2 - 1
+    a = mi.Float(beyond + yz2 - e2)
+    b = mi.Float(dr.fma(beyond + z2, e2, yz2))
+    r2, m = x2 + y2, dr.fma(y2, e2, x2)
+    middle = mi.Float(dr.fma(r2, x2 + yz2, -m))
+    r2, m, z2 = mi.Float(r2), mi.Float(m), mi.Float(z2)
     c = z2 * mi.Float(e2)
+
+    zero, one = mi.Float(0), mi.Float(1)
 
     def taylor(root):
         """Value, slope and half the second derivative of the cubic."""
@@ -107,21 +110,21 @@ def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
         return value, dr.fma(first, root, second), first + root
 
     # λ² - a λ - b = 0 or -a λ² - b λ - c = 0
-    large = b > 0
-    root = _positive_root(dr.select(large, a, b), dr.select(large, b, c), dr.select(large, 1.0, -a))
+    large = b > zero
+    root = _positive_root(dr.select(large, a, b), dr.select(large, b, c), dr.select(large, one, -a))
     other = _positive_root(middle, m * z2, r2)
     root = dr.select(other > root, other, root)
 
     value, slope, curvature = taylor(root)
     disc = dr.fma(slope, slope, -4 * curvature * value)
-    disc = dr.select(disc > 0, disc, 0)
-    root -= 2 * value / dr.maximum(slope + dr.sqrt(disc), TINY)
+    disc = dr.select(disc > zero, disc, zero)
+    root -= (value + value) / dr.maximum(slope + dr.sqrt(disc), TINY)
 
     value, slope, curvature = taylor(root)
     inv = dr.rcp(slope)
     change = value * inv
     q = change * (curvature * inv)
-    root -= change * dr.fma(q, dr.fma(2, q, 1), dr.fma(-change * change, inv, 1))
+    root -= change * dr.fma(q, dr.fma(2, q, one), dr.fma(-change * change, inv, one))
     root = dr.select(a > FAR, a, root)
     return dr.select(root > z2, root, z2)
 
@@ -137,22 +140,24 @@ def from_point(ellipse: Ellipse, reference: mi.Point3f) -> Cone:
     eccentricity2 = ellipse.eccentricity2
     root = confocal_root(centre, ellipse.ratio)
 
-    xc, yc, zc = mi.Float(centre.x), mi.Float(centre.y), mi.Float(centre.z)
-    e2 = dr.square(mi.Float(ellipse.ratio))
-    inv_root, inv_x, inv_y = dr.rcp(root), dr.rcp(1 + root), dr.rcp(e2 + root)
+    centre = mi.Vector3f(centre)
+    xc, yc, zc = centre
+    zero, one, half = mi.Float(0), mi.Float(1), mi.Float(0.5)
+    e2 = dr.square(ellipse.ratio32)
+    inv_root, inv_x, inv_y = dr.rcp(root), dr.rcp(one + root), dr.rcp(e2 + root)
     height = zc * inv_root
 
     z = dr.normalize(mi.Vector3f(xc * (root * inv_x), yc * (root * inv_y), zc))
 
     # The two positive eigenvalues as μ1 and 1 - μ2/e²
     yy = yc * yc * eccentricity2 * inv_y
-    product = yy * e2  # of e² - μ2 and μ1 - e²
+    product = 2 * yy * e2  # Twice that of e² - μ2 and μ1 - e²
     t = dr.fma(zc, height, yy)
     sigma = t - e2
-    disc = dr.sqrt(dr.fma(sigma, sigma, 4 * product))
-    mu1 = 0.5 * (t + e2 + disc)
+    disc = dr.sqrt(dr.fma(sigma, sigma, product + product))
+    mu1 = half * (t + e2 + disc)
     larger = dr.maximum(dr.abs(sigma) + disc, SMALLEST)
-    m2 = dr.select(sigma > 0, 2 * product * dr.rcp(larger), 0.5 * larger)
+    m2 = dr.select(sigma > zero, product * dr.rcp(larger), half * larger)
 
     # μ1 μ2 μ3 = det² gives the smaller eigenvalue its full precision
     inv_mu1 = dr.rcp(mu1)
@@ -170,8 +175,8 @@ def from_point(ellipse: Ellipse, reference: mi.Point3f) -> Cone:
     size2, overlap = dr.squared_norm(y), dr.dot(y, z)
     left2 = dr.fma(-overlap, overlap, size2)
     y = (y - z * overlap) * dr.rsqrt(left2)
-    y = dr.select(left2 > 0.25 * size2, y, mi.Vector3f(0, 1, 0))
-    return Cone(x=cross(y, z), y=y, z=z, ta2=ta2, tb2=tb2, inv_ta2=root * inv_mu1)
+    y = dr.select(left2 > 0.25 * size2, y, mi.Vector3f(zero, one, zero))
+    return Cone(cross(y, z), y, z, ta2, tb2, root * inv_mu1, centre)
 
 
 def solid_angle(cone: Cone) -> mi.Float:

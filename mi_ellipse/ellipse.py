@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import drjit as dr
 import mitsuba as mi
@@ -51,10 +52,20 @@ class Ellipse:
     parameter_sin: mi.Float64  # coordinates (a, b) to those of the unit disk before `to_world`
     handedness: mi.Float64  # +1 for that rotation, -1 for that reflection
 
-    @property
+    @cached_property
     def normal(self) -> mi.Vector3d:
         """Direction of emission."""
         return cross(self.ex, self.ey)
+
+    @cached_property
+    def _axes(self) -> tuple[mi.Vector3f, mi.Vector3f, mi.Vector3f]:
+        """``(ex, ey, normal)`` in single precision."""
+        return mi.Vector3f(self.ex), mi.Vector3f(self.ey), mi.Vector3f(self.normal)
+
+    @cached_property
+    def ratio32(self) -> mi.Float:
+        """The ratio in single precision."""
+        return mi.Float(self.ratio)
 
     @property
     def eccentricity2(self) -> mi.Float:
@@ -62,13 +73,12 @@ class Ellipse:
 
         Near circles, where that rounding shows, it turns axes of the cone that do not matter there.
         """
-        ratio = mi.Float(self.ratio)
-        return (1 - ratio) * (1 + ratio)
+        return dr.fma(-self.ratio32, self.ratio32, 1)
 
     @property
     def ly(self) -> mi.Float:
         """Length of the shorter semi-axis."""
-        return self.lx * mi.Float(self.ratio)
+        return self.lx * self.ratio32
 
     @property
     def area(self) -> mi.Float:
@@ -91,13 +101,14 @@ class Ellipse:
 
     def to_light(self, v: mi.Vector3f) -> mi.Vector3f:
         """Components of a world-space vector along ``(ex, ey, normal)``."""
+        ex, ey, _ = self._axes
         height = dr.dot(mi.Vector3d(v), self.normal)  # Cancels at grazing angles
-        return mi.Vector3f(dr.dot(v, mi.Vector3f(self.ex)), dr.dot(v, mi.Vector3f(self.ey)), height)
+        return mi.Vector3f(dr.dot(v, ex), dr.dot(v, ey), height)
 
     def to_world(self, v: mi.Vector3f) -> mi.Vector3f:
         """World-space vector from its components along ``(ex, ey, normal)``."""
-        ex, ey = mi.Vector3f(self.ex), mi.Vector3f(self.ey)
-        return dr.fma(ex, v.x, dr.fma(ey, v.y, cross(ex, ey) * v.z))
+        ex, ey, normal = self._axes
+        return dr.fma(ex, v.x, dr.fma(ey, v.y, normal * v.z))
 
     def point_from_direction(
         self, centre: mi.Vector3f, direction: mi.Vector3f
@@ -123,19 +134,20 @@ class Ellipse:
         t = dr.minimum(dr.abs(centre.z / direction.z), FARTHEST)
         a = dr.fma(direction.x, t, -centre.x)
         b = dr.fma(direction.y, t, -centre.y) * self.inv_ratio
-        near = t < 1
+        one = mi.Float(1)
+        near = t < one
 
-        a_clamped = dr.clip(a, -1, 1)
-        half_chord = dr.sqrt(dr.fma(-a_clamped, a_clamped, 1))
+        a_clamped = dr.clip(a, -one, one)
+        half_chord = dr.sqrt(dr.fma(-a_clamped, a_clamped, one))
         a = dr.select(near, a, a_clamped)
         b = dr.select(near, b, dr.clip(b, -half_chord, half_chord))
-        offset = mi.Vector3f(centre.x + a, dr.fma(b, mi.Float(self.ratio), centre.y), centre.z)
+        offset = mi.Vector3f(centre.x + a, dr.fma(b, self.ratio32, centre.y), centre.z)
         distance = dr.select(near, t, dr.norm(offset))
         return a, b, distance * self.lx
 
     def point(self, a: mi.Float, b: mi.Float) -> mi.Point3f:
         """World-space point with the principal coordinates ``(a, b)``."""
-        ex, ey = mi.Vector3f(self.ex), mi.Vector3f(self.ey)
+        ex, ey, _ = self._axes
         centre = mi.Vector3f(self.centre)
         return mi.Point3f(dr.fma(ex, a * self.lx, dr.fma(ey, b * self.ly, centre)))
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+from functools import partial
+
 import drjit as dr
 import mitsuba as mi
 
@@ -17,6 +20,15 @@ MISPLACED = (
     "ellipticalarea: the light is attached to {} and gives no light; put it into a shape of type "
     '"ellipse" or "disk"'
 )
+
+
+def _without_lookup():
+    """Trace without looking for equal operations, of which the code repeats hardly any.
+
+    Dr.Jit looks up every operation among all living ones, which with a hundred lamps is a quarter
+    of the time to trace them. Literals are operations too: hence the names for zero and one.
+    """
+    return dr.scoped_set_flag(dr.JitFlag.ValueNumbering, False)
 
 
 def define() -> type:
@@ -97,6 +109,8 @@ def define() -> type:
         def _attached(self) -> ellipse.Ellipse | None:
             """Geometry of the light; None without a shape and for one that has raised its error.
 
+            A copy: what it keeps of its results belongs to one trace.
+
             Dr.Jit traces every living emitter, also that of a scene which the traceback of its
             error keeps alive, and one that has no shape yet: those must not fail the renders of
             other scenes, nor touch a shape that may be gone.
@@ -106,7 +120,7 @@ def define() -> type:
                     mi.Log(mi.LogLevel.Warn, self._misplaced or MISPLACED.format("no shape"))
                 else:
                     self.attach()
-            return self.ellipse
+            return copy.copy(self.ellipse)
 
         # ---- Directions ------------------------------------------------------------------------
 
@@ -118,53 +132,48 @@ def define() -> type:
             light = self._attached()
             if light is None:
                 return dr.zeros(mi.DirectionSample3f), dr.zeros(mi.Spectrum)
-            # This always holds, but Dr.Jit does not know: it drops a branch that it knows.
-            state = it.p, it.n, it.wavelengths, sample
-            drawn = dr.if_stmt(state, sample.x <= 1, self._draw, self._draw_nothing)
-            p, d, dist, pdf, weight, uv = drawn
             ds = mi.DirectionSample3f()
-            ds.p = p
             ds.n = mi.Normal3f(light.normal)
-            ds.uv = uv
+            # This always holds, but Dr.Jit does not know: it drops a branch that it knows.
+            draw = partial(self._draw, light, it)
+            drawn = dr.if_stmt((sample,), sample.x <= 1, draw, self._draw_nothing)
+            ds.p, ds.d, ds.dist, ds.pdf, weight, ds.uv = drawn
+            ds.pdf = dr.select(active, ds.pdf, 0)
             ds.time = it.time
             ds.delta = False
-            ds.d = d
-            ds.dist = dist
-            ds.pdf = dr.select(active, pdf, 0)
             ds.emitter = mi.EmitterPtr(self) if dr.is_jit_v(mi.Float) else self
             return ds, mi.depolarizer(dr.select(active, weight, 0))
 
-        def _draw(self, p, n, wavelengths, u):
+        def _draw(self, light, it, u):
             """Point of the light, direction, distance, density, radiance over density, and uv.
 
             Integrators skip draws of no density; a NaN would survive a multiplication by zero.
             """
-            light = self.ellipse
-            with dr.suspend_grad():
-                record = self.strategy.prepare(light, p, n)
+            with dr.suspend_grad(), _without_lookup():
+                record = self.strategy.prepare(light, it.p, it.n)
                 d, pdf, valid = self.strategy.sample(record, u)
-                centre = mi.Vector3f(light.light_coordinates(p))
-                valid &= (centre.z < 0) & (pdf > 0) & (pdf < dr.inf)
+                centre = mi.Vector3f(record.centre)
+                zero = mi.Float(0)
+                valid &= (centre.z < zero) & (pdf > zero) & (pdf < dr.inf)
                 a, b, dist = light.point_from_direction(centre, d)
                 # From a point of the light itself the point drawn may be this same one, and the
                 # direction that `prb` and others take between the two is then 0/0.
-                valid &= dist > RESOLUTION * dr.max(dr.abs(p))
-                pdf = dr.select(valid, pdf, 0)
-                # Scalar variants raise an error on a division by zero.
-                inv_pdf = dr.select(valid, dr.rcp(dr.select(valid, pdf, 1)), 0)
+                valid &= dist > RESOLUTION * dr.max(dr.abs(it.p))
+                pdf = dr.select(valid, pdf, zero)
+                inv_pdf = dr.select(valid, dr.rcp(pdf), zero)
 
                 si = dr.zeros(mi.SurfaceInteraction3f)
                 si.p = light.point(a, b)
                 si.n = mi.Normal3f(light.normal)
                 si.uv = light.uv(a, b)
-                si.wavelengths = wavelengths
+                si.wavelengths = it.wavelengths
                 d = light.to_world(d)
             return si.p, d, dist, pdf, self.radiance.eval(si, valid) * inv_pdf, si.uv
 
-        def _draw_nothing(self, p, n, wavelengths, u):
-            zero, nowhere = mi.Float(0), mi.Vector3f(0)
-            dark = mi.UnpolarizedSpectrum(0)
-            return mi.Point3f(nowhere), nowhere, zero, zero, dark, mi.Point2f(0)
+        def _draw_nothing(self, u):
+            zero = mi.Float(0)
+            dark = mi.UnpolarizedSpectrum(zero)
+            return mi.Point3f(zero), mi.Vector3f(zero), zero, zero, dark, mi.Point2f(zero)
 
         def pdf_direction(self, it, ds, active=True):
             light = self._attached()
@@ -172,12 +181,14 @@ def define() -> type:
                 return mi.Float(0)
             with dr.suspend_grad():
                 lit = active & (dr.dot(ds.d, ds.n) < 0)
-                return dr.if_stmt((it.p, it.n, ds.d), lit, self._pdf, lambda *_: mi.Float(0))
+                density = partial(self._pdf, light, it)
+                return dr.if_stmt((ds.d,), lit, density, lambda _: mi.Float(0))
 
-        def _pdf(self, p, n, d):
-            record = self.strategy.prepare(self.ellipse, p, n)
-            pdf = self.strategy.pdf(record, self.ellipse.to_light(d))
-            return dr.select(dr.isfinite(pdf), pdf, 0)
+        def _pdf(self, light, it, d):
+            with _without_lookup():
+                record = self.strategy.prepare(light, it.p, it.n)
+                pdf = self.strategy.pdf(record, light.to_light(d))
+                return dr.select(dr.isfinite(pdf), pdf, 0)
 
         def eval_direction(self, it, ds, active=True):
             lit = active & (dr.dot(ds.d, ds.n) < 0)

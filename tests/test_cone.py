@@ -21,7 +21,7 @@ def bare(ta, tb):
     """Cone of given half-angles."""
     x, y, z = mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0), mi.Vector3f(0, 0, 1)
     ta, tb = mi.Float(ta), mi.Float(tb)
-    return cone.Cone(x, y, z, ta2=ta * ta, tb2=tb * tb, inv_ta2=1 / (ta * ta))
+    return cone.Cone(x, y, z, ta2=ta * ta, tb2=tb * tb, inv_ta2=1 / (ta * ta), centre=z)
 
 
 @pytest.fixture(scope="module")

@@ -32,7 +32,7 @@ class Area:
     def prepare(self, ellipse: Ellipse, reference: mi.Point3f, normal: mi.Normal3f) -> Record:
         """Position of the light; the normal is not used."""
         centre = mi.Vector3f(ellipse.light_coordinates(reference))
-        return Record(centre, mi.Float(ellipse.ratio))
+        return Record(centre, ellipse.ratio32)
 
     def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
         """Direction along the light's ``(ex, ey, normal)``, its density, and validity."""

@@ -25,6 +25,10 @@ class Record(NamedTuple):
     quadrant: mi.Float  # `_cumulative` of the whole quadrant
     pdf: mi.Float  # One over the solid angle
 
+    @property
+    def centre(self) -> mi.Vector3f:
+        return self.map.centre
+
 
 def _cumulative(record: solid_angle.Record, t: mi.Float) -> mi.Float:
     """Solid angle between the eccentric angles 0 and t ≤ π/2, up to a constant factor."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple
 
 import drjit as dr
@@ -45,6 +45,10 @@ class Record(NamedTuple):
 
     cone: Cone
     n: mi.Vector3f  # Surface normal in the frame of the cone; zero in media
+
+    @property
+    def centre(self) -> mi.Vector3f:
+        return self.cone.centre
 
 
 class Slices(NamedTuple):
@@ -125,12 +129,12 @@ class _CrossSection(NamedTuple):
 
 
 def _cross_section(cut: Slices, eta: mi.Float) -> _CrossSection:
-    eta2, inv = eta * eta, cut.inv_eta_max
-    i = dr.rcp(1 + eta2)
-    scaled = cut.scale * i
+    one, inv = mi.Float(1), cut.inv_eta_max
+    i = dr.rcp(dr.fma(eta, eta, one))
+    scaled, product = cut.scale * i, cut.eta_max * eta
     # The differences are exact at a rim
     inside = ((cut.eta_max - eta) * inv) * ((cut.eta_max + eta) * inv)
-    inside *= dr.fma(-dr.square(cut.eta_max), eta2, 1)
+    inside *= dr.fma(-product, product, one)
     return _CrossSection(cut.slope * eta * scaled, cut.height * scaled, inside, i)
 
 
@@ -139,7 +143,8 @@ def _slice(cut: Slices, eta: mi.Float) -> Slice:
     mid, size, inside, i = _cross_section(cut, eta)
     half = size * dr.sqrt(dr.maximum(inside, 0))
     a, b = mid - half, mid + half
-    ra, rb = dr.sqrt(dr.fma(a, a, 1)), dr.sqrt(dr.fma(b, b, 1))
+    one = mi.Float(1)
+    ra, rb = dr.sqrt(dr.fma(a, a, one)), dr.sqrt(dr.fma(b, b, one))
     total = dr.maximum(dr.fma(dr.abs(b), ra, dr.abs(a) * rb), cone.TINY)
     inv = dr.rcp(total * ra * rb)
     over_roots = total * inv  # 1 / (ra rb)
@@ -154,21 +159,22 @@ def _weight(cut: Slices, eta: mi.Float) -> mi.Float:
     The length of a slice is that of `_slice`, under one root with its other factors.
     """
     mid, size, inside, i = _cross_section(cut, eta)
-    mid2, half2 = mid * mid, size * size * inside
+    one, mid2, half2 = mi.Float(1), mid * mid, size * size * inside
 
     # (length / 2 half)² = ratio / ((1 + a²) (1 + b²)) for a slice from a = mid - half to b
-    ab = mid2 - half2
-    product = dr.fma(ab, ab, 1 + 2 * (mid2 + half2))
+    ab, sum2 = mid2 - half2, mid2 + half2
+    product = dr.fma(ab, ab, sum2 + sum2 + one)
     root = dr.sqrt(product)
-    larger = dr.square(root + 1 + dr.abs(ab))
-    total = 2 * (mid2 + half2 + 1 + root)
+    rooted = root + one
+    larger = dr.square(rooted + dr.abs(ab))
+    total = 2 * (sum2 + rooted)
     same_side = ab > 0
     ratio = dr.select(same_side, total, larger) / dr.select(same_side, larger, total)
     length2 = ratio * (inside / product)
 
-    above = dr.abs((eta - cut.eta_horizon) * dr.fma(eta, cut.eta_horizon, 1)) * i
-    r2 = 1 + mid2
-    latitude = r2 / dr.square(dr.fma(mid2, dr.square(cut.inv_scale), 1))
+    above = dr.abs((eta - cut.eta_horizon) * dr.fma(eta, cut.eta_horizon, one)) * i
+    r2, tangent = mid2 + one, mid * cut.inv_scale
+    latitude = r2 / dr.square(dr.fma(tangent, tangent, one))
     return i * i * above * latitude * dr.sqrt(length2 * r2)
 
 
@@ -219,7 +225,7 @@ def _side(cut: Slices, minor: mi.Mask) -> Side:
         eta, stretch = _eta(cut.kappa2, dr.fma(extent, dr.select(divided, q, x), start))
         values.append(_weight(cut, eta) * (dr.select(divided, inv_divided, inv_whole) * stretch))
     s0, s1, s2 = values
-    return Side(start, extent, s0, s1, s2, 0.25 * (s0 + 2 * s1 + s2))
+    return Side(start, extent, s0, s1, s2, 0.25 * (s0 + s1 + s1 + s2))
 
 
 def _side_density(cut: Slices, side: Side, tau: mi.Float) -> mi.Float:
@@ -266,7 +272,8 @@ def _density(
     tau, stretch = _tau(cut.kappa2, eta)
     density = share * stretch * _side_density(cut, side, tau)
     tangent2 = dr.square(tangent)
-    r2 = (1 + tangent2) / dr.fma(dr.square(cut.scale), tangent2, 1)
+    one = mi.Float(1)
+    r2 = (one + tangent2) / dr.fma(dr.square(cut.scale), tangent2, one)
     latitude = cut.scale * r2 * dr.sqrt(r2)
     return 0.5 * density * latitude / (strip.length * strip.cos2_half)
 
@@ -288,28 +295,29 @@ def _slices(seen: Cone, n: mi.Vector3f, one_sided: bool) -> Slices:
     ta2, tb2 = dr.minimum(seen.ta2, 1e16), dr.minimum(seen.tb2, 1e16)
 
     # The normal on the side of the axis
+    one = mi.Float(1)
     flipped = n.z < 0
     nz, nm2 = dr.abs(n.z), dr.fma(n.x, n.x, n.y * n.y)
     tilted = nm2 > 1e-12
     inv_nm = dr.rsqrt(dr.maximum(nm2, 1e-12))
     nm = nm2 * inv_nm
     inv_nm = dr.select(flipped, -inv_nm, inv_nm)
-    m = mi.Vector2f(dr.select(tilted, n.x * inv_nm, 1), dr.select(tilted, n.y * inv_nm, 0))
+    m = mi.Vector2f(dr.select(tilted, n.x * inv_nm, one), dr.select(tilted, n.y * inv_nm, 0))
 
     # The dual cone diag(ta², tb², -1) along m, the pole and the axis
     tan2_max = dr.fma(ta2 * m.x, m.x, tb2 * m.y * m.y)
     inv_tan = dr.rsqrt(tan2_max)
-    secant = 1 + dr.sqrt(1 + tan2_max)
+    secant = one + dr.sqrt(one + tan2_max)
     eta_max, inv_eta_max = tan2_max * inv_tan / secant, secant * inv_tan
     inv_tan2 = dr.square(inv_tan)
     slope = (tb2 - ta2) * (2 * m.x * m.y) * inv_tan2
     height2 = tb2 * (ta2 * inv_tan2)
-    short = dr.rcp(1 + height2)
+    short = dr.rcp(one + height2)
     scale2 = dr.fma(-LONG_SLICES, short, LATITUDE_SCALE2 + LONG_SLICES)
     inv_scale = dr.rsqrt(scale2)
 
     kappa2 = dr.minimum(dr.square(slope) * short, dr.square(HIGHEST_PEAK * inv_eta_max))
-    eta_horizon = -nz / (1 + nm)
+    eta_horizon = -nz / (one + nm)
     tau_max, tau_horizon = _tau(kappa2, eta_max)[0], _tau(kappa2, eta_horizon)[0]
     straddling = tau_horizon > -tau_max * (1 - THINNEST_SIDE)
     if one_sided:
@@ -384,11 +392,11 @@ class ProjectedSolidAngle:
         across2, width2 = dr.fma(nx2, seen.ta2, ny2 * seen.tb2), nz2 * seen.ta2 * seen.ta2
         # Dr.Jit takes the size of the branch from its condition: the second part always holds.
         varies = (dr.fma(0.25, width2, across2) > LEAST_CHANGE**2 * nz2) & (argument.x < 2)
-        return dr.if_stmt((tuple(seen), n, argument), varies, sliced, whole)
+        return dr.if_stmt((argument,), varies, partial(sliced, record), partial(whole, record))
 
-    def _sample_slices(self, seen, n, u):
+    def _sample_slices(self, record, u):
         """Direction in the frame of the cone and its density."""
-        cut = _slices(Cone(*seen), n, self.one_sided)
+        cut = _slices(record.cone, record.n, self.one_sided)
         share = cut.minor_share
         minor = u.x < share
         # A side with no share has no draws, but a width to divide by.
@@ -412,9 +420,9 @@ class ProjectedSolidAngle:
         )
         return d, _density(cut, side, minor, eta, strip, tangent)
 
-    def _pdf_slices(self, seen, n, d):
+    def _pdf_slices(self, record, d):
         """Density of a direction in the frame of the cone."""
-        cut = _slices(Cone(*seen), n, self.one_sided)
+        cut = _slices(record.cone, record.n, self.one_sided)
         m = cut.m
         dm, de = dr.fma(m.x, d.x, m.y * d.y), dr.fma(m.x, d.y, -m.y * d.x)
         # The pole itself has no longitude; the floor keeps the squared tangent finite.
@@ -423,10 +431,10 @@ class ProjectedSolidAngle:
         minor = cut.straddling & (eta < cut.eta_horizon)
         return _density(cut, _side(cut, minor), minor, eta, _slice(cut, eta), de / r)
 
-    def _sample_whole(self, seen, n, u):
+    def _sample_whole(self, record, u):
         """As `_sample_slices`, uniform in solid angle."""
-        return self.uniform.sample_local(self.uniform.record(Cone(*seen)), u)
+        return self.uniform.sample_local(self.uniform.record(record.cone), u)
 
-    def _pdf_whole(self, seen, n, d):
+    def _pdf_whole(self, record, d):
         """As `_pdf_slices`, uniform in solid angle."""
-        return self.uniform.pdf_local(self.uniform.record(Cone(*seen)), d)
+        return self.uniform.pdf_local(self.uniform.record(record.cone), d)

@@ -24,6 +24,10 @@ class Record(NamedTuple):
     inv_kappa: mi.Float  # Strength of the angular warp, 1 for circles
     rho: mi.Float  # Where along the quadrant the warp acts
 
+    @property
+    def centre(self) -> mi.Vector3f:
+        return self.cone.centre
+
 
 def _azimuth(u: mi.Float) -> tuple[mi.Float, mi.Float]:
     """Cosine and sine of the angle ``2π u - π``, with a common factor.
@@ -37,8 +41,8 @@ def _azimuth(u: mi.Float) -> tuple[mi.Float, mi.Float]:
         dr.fma(dr.fma(-3.59543993e-5, w, 2.49000696e-3), w, -8.07454348e-2), w, 0.785398161
     )
     c = dr.fma(dr.fma(dr.fma(-3.18878992e-4, w, 1.58499130e-2), w, -3.08424253e-1), w, 0.999999972)
-    c, s = dr.fma(c, c, -s * s), 2 * c * s
-    return dr.fma(c, c, -s * s), 2 * c * s
+    c, s = dr.fma(c, c, -s * s), (c + c) * s
+    return dr.fma(c, c, -s * s), (c + c) * s
 
 
 def _angular_warp(b0: mi.Float, b1: mi.Float) -> tuple[mi.Float, mi.Float]:
@@ -54,9 +58,10 @@ def _angular_warp(b0: mi.Float, b1: mi.Float) -> tuple[mi.Float, mi.Float]:
         ``1 / (2 (1 + cos α))`` of the larger and the smaller half-angle: ¼ for small lights, ½ for
         those that fill the hemisphere.
     """
-    a, b = b0 - 0.25, b1 - 0.25
-    inv_kappa = dr.fma(a - b, dr.fma(a, dr.fma(-1.26, a, 1.78), b * dr.fma(6.17, a, -2.29)), 1)
-    rho = 1 - a * dr.fma(3.65, a, 1.34)
+    least, one = mi.Float(0.25), mi.Float(1)
+    a, b = b0 - least, b1 - least
+    inv_kappa = dr.fma(a - b, dr.fma(a, dr.fma(-1.26, a, 1.78), b * dr.fma(6.17, a, -2.29)), one)
+    rho = one - a * dr.fma(3.65, a, 1.34)
     return inv_kappa, rho
 
 
@@ -94,7 +99,7 @@ def warp(record: Record, c: mi.Float, s: mi.Float) -> Warped:
     """
     c = record.rho * c
     c2, s2 = c * c, s * s
-    cos2, sin2 = record.inv_kappa * (c2 - s2), 2 * c * s
+    cos2, sin2 = record.inv_kappa * (c2 - s2), (c + c) * s
     norm = dr.sqrt(dr.fma(cos2, cos2, sin2 * sin2))
     half = norm + dr.abs(cos2)
     upright = cos2 >= 0
@@ -141,13 +146,14 @@ class SolidAngle:
 
     def record(self, seen: Cone) -> Record:
         """Warp of a cone."""
-        cos_a, cos_b = dr.rsqrt(1 + seen.ta2), dr.rsqrt(1 + seen.tb2)
-        fa, fb = 1 + cos_a, 1 + cos_b
+        one = mi.Float(1)
+        cos_a, cos_b = dr.rsqrt(one + seen.ta2), dr.rsqrt(one + seen.tb2)
+        fa, fb = one + cos_a, one + cos_b
         inv = 0.5 / (fa * fb)
         b0, b1 = fb * inv, fa * inv  # 1 / (2 (1 + cos))
         inv_kappa, rho = _angular_warp(b0, b1)
         ka, kb = dr.square(cos_a) * b0, dr.square(cos_b) * b1
-        ratio2 = 2 * fa * (seen.tb2 * kb) * (1 + seen.inv_ta2)
+        ratio2 = 2 * fa * (seen.tb2 * kb) * (one + seen.inv_ta2)
         return Record(
             cone=seen,
             a2=seen.ta2 * ka,

@@ -23,6 +23,10 @@ class Record(NamedTuple):
     height: mi.Float  # 1 - cos of the half-angle of the cap
     radius: mi.Float  # Tangent of that half-angle
 
+    @property
+    def centre(self) -> mi.Vector3f:
+        return self.cone.centre
+
 
 def _density(record: Record, rho2: mi.Float, cos_theta: mi.Float) -> mi.Float:
     """Density per solid angle.

@@ -77,7 +77,7 @@ class Textured:
 
         uv, _ = self.texture.sample_position(u_texture, from_texture)
         a, b = record.light.from_uv(uv)
-        offset = mi.Vector3f(a, b * mi.Float(record.light.ratio), 0)
+        offset = mi.Vector3f(a, b * record.light.ratio32, 0)
         d_texture = dr.normalize(record.centre + offset)
         d_strategy, strategy_pdf, valid = self.strategy.sample(record.strategy, u_strategy)
 
@@ -98,7 +98,7 @@ class Textured:
         uv = light.uv(a, b)
         # uv = (radius, angle / 2π): the area is 2π radius du dv, times lx ly
         distance = centre.z / direction.z
-        area_to_angle = dr.square(distance) / (mi.Float(light.ratio) * dr.abs(direction.z))
+        area_to_angle = dr.square(distance) / (light.ratio32 * dr.abs(direction.z))
         texture_pdf = self.texture.pdf_position(uv) * dr.inv_two_pi / uv.x * area_to_angle
         return dr.lerp(strategy_pdf, texture_pdf, record.share)
 
