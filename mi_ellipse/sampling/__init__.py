@@ -7,7 +7,8 @@ A strategy is a class with three methods::
     pdf(record, direction) -> pdf
 
 Directions are given along the light's ``(ex, ey, normal)``. `prepare` sees the reference point and
-its normal (zero in media) and never the random numbers. `pdf` is exactly the density per solid
+its normal (zero in media) and never the random numbers; the record has, beside its own, the
+`centre` of `Ellipse.light_coordinates`. `pdf` is exactly the density per solid
 angle that `sample` draws from; it does not test whether the direction meets the light, and in
 single precision it must not: the ray decides what is hit. A draw that is not `valid` carries its
 density and no light.
