@@ -40,7 +40,7 @@ class Cone(NamedTuple):
     ta2: mi.Float  # Squared tangent of the larger half-angle
     tb2: mi.Float  # Squared tangent of the smaller half-angle
     inv_ta2: mi.Float  # 1 / ta2
-    centre: mi.Vector3f  # Of the light, as `Ellipse.light_coordinates` has it
+    centre: mi.Vector3f  # Of the light: `Ellipse.light_coordinates` in single precision
 
     @property
     def ta(self) -> mi.Float:
@@ -91,9 +91,9 @@ def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
     """
     x, y, z = centre
     x2, y2, z2, e2 = dr.fma(x, x, ON_AXIS), y * y, z * z, ratio * ratio
-    yz2, beyond = y2 + z2, x2 - 1
-    a = mi.Float(beyond + yz2 - e2)
-    b = mi.Float(dr.fma(beyond + z2, e2, yz2))
+    yz2, x2_less_1 = y2 + z2, x2 - 1
+    a = mi.Float(x2_less_1 + yz2 - e2)
+    b = mi.Float(dr.fma(x2_less_1 + z2, e2, yz2))
     r2, m = x2 + y2, dr.fma(y2, e2, x2)
     middle = mi.Float(dr.fma(r2, x2 + yz2, -m))
     r2, m, z2 = mi.Float(r2), mi.Float(m), mi.Float(z2)

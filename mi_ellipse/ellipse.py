@@ -37,6 +37,7 @@ class Ellipse:
     off by factors of up to 20.
 
     A kernel gathers these numbers for every path and call, so what follows from others is no field.
+    Cached properties are variables of the trace that first asks for them: copy before tracing.
     It gathers up to eight of one size at once: the last three, which only textures need, have the
     size that leaves room for a radiance beside the others of single precision.
     """
@@ -58,7 +59,7 @@ class Ellipse:
         return cross(self.ex, self.ey)
 
     @cached_property
-    def _axes(self) -> tuple[mi.Vector3f, mi.Vector3f, mi.Vector3f]:
+    def axes32(self) -> tuple[mi.Vector3f, mi.Vector3f, mi.Vector3f]:
         """``(ex, ey, normal)`` in single precision."""
         return mi.Vector3f(self.ex), mi.Vector3f(self.ey), mi.Vector3f(self.normal)
 
@@ -101,13 +102,13 @@ class Ellipse:
 
     def to_light(self, v: mi.Vector3f) -> mi.Vector3f:
         """Components of a world-space vector along ``(ex, ey, normal)``."""
-        ex, ey, _ = self._axes
+        ex, ey, _ = self.axes32
         height = dr.dot(mi.Vector3d(v), self.normal)  # Cancels at grazing angles
         return mi.Vector3f(dr.dot(v, ex), dr.dot(v, ey), height)
 
     def to_world(self, v: mi.Vector3f) -> mi.Vector3f:
         """World-space vector from its components along ``(ex, ey, normal)``."""
-        ex, ey, normal = self._axes
+        ex, ey, normal = self.axes32
         return dr.fma(ex, v.x, dr.fma(ey, v.y, normal * v.z))
 
     def point_from_direction(
@@ -147,7 +148,7 @@ class Ellipse:
 
     def point(self, a: mi.Float, b: mi.Float) -> mi.Point3f:
         """World-space point with the principal coordinates ``(a, b)``."""
-        ex, ey, _ = self._axes
+        ex, ey, _ = self.axes32
         centre = mi.Vector3f(self.centre)
         return mi.Point3f(dr.fma(ex, a * self.lx, dr.fma(ey, b * self.ly, centre)))
 

@@ -22,15 +22,6 @@ MISPLACED = (
 )
 
 
-def _without_lookup():
-    """Trace without looking for equal operations, of which the code repeats hardly any.
-
-    Dr.Jit looks up every operation among all living ones, which with a hundred lamps is a quarter
-    of the time to trace them. Literals are operations too: hence the names for zero and one.
-    """
-    return dr.scoped_set_flag(dr.JitFlag.ValueNumbering, False)
-
-
 def define() -> type:
     """Class of the plugin under the current variant: `mi.Emitter` is another base in each."""
 
@@ -109,7 +100,7 @@ def define() -> type:
         def _attached(self) -> ellipse.Ellipse | None:
             """Geometry of the light; None without a shape and for one that has raised its error.
 
-            A copy: what it keeps of its results belongs to one trace.
+            A copy, since its cached properties belong to one trace.
 
             Dr.Jit traces every living emitter, also that of a scene which the traceback of its
             error keeps alive, and one that has no shape yet: those must not fail the renders of
@@ -134,8 +125,9 @@ def define() -> type:
                 return dr.zeros(mi.DirectionSample3f), dr.zeros(mi.Spectrum)
             ds = mi.DirectionSample3f()
             ds.n = mi.Normal3f(light.normal)
-            # This always holds, but Dr.Jit does not know: it drops a branch that it knows.
-            draw = partial(self._draw, light, it)
+            # A copy of `it`, which may have changed until derivatives trace the branch again
+            draw = partial(self._draw, light, type(it)(it))
+            # The condition always holds, but Dr.Jit does not know: it drops a branch that it knows.
             drawn = dr.if_stmt((sample,), sample.x <= 1, draw, self._draw_nothing)
             ds.p, ds.d, ds.dist, ds.pdf, weight, ds.uv = drawn
             ds.pdf = dr.select(active, ds.pdf, 0)
@@ -149,7 +141,8 @@ def define() -> type:
 
             Integrators skip draws of no density; a NaN would survive a multiplication by zero.
             """
-            with dr.suspend_grad(), _without_lookup():
+            light = copy.copy(light)  # For every trace of the branch
+            with dr.suspend_grad(), self._lookup():
                 record = self.strategy.prepare(light, it.p, it.n)
                 d, pdf, valid = self.strategy.sample(record, u)
                 centre = mi.Vector3f(record.centre)
@@ -164,7 +157,7 @@ def define() -> type:
 
                 si = dr.zeros(mi.SurfaceInteraction3f)
                 si.p = light.point(a, b)
-                si.n = mi.Normal3f(light.normal)
+                si.n = mi.Normal3f(light.axes32[2])
                 si.uv = light.uv(a, b)
                 si.wavelengths = it.wavelengths
                 d = light.to_world(d)
@@ -185,10 +178,18 @@ def define() -> type:
                 return dr.if_stmt((ds.d,), lit, density, lambda _: mi.Float(0))
 
         def _pdf(self, light, it, d):
-            with _without_lookup():
+            with self._lookup():
                 record = self.strategy.prepare(light, it.p, it.n)
                 pdf = self.strategy.pdf(record, light.to_light(d))
                 return dr.select(dr.isfinite(pdf), pdf, 0)
+
+        def _lookup(self):
+            """Leave out that Dr.Jit looks for each new operation among all living ones.
+
+            With a hundred lamps it is a quarter of the time to trace them, and the strategies
+            hardly repeat themselves; Mitsuba's bitmaps do.
+            """
+            return dr.scoped_set_flag(dr.JitFlag.ValueNumbering, self.follows_texture)
 
         def eval_direction(self, it, ds, active=True):
             lit = active & (dr.dot(ds.d, ds.n) < 0)

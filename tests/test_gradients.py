@@ -65,6 +65,28 @@ def test_gradient_of_the_spectrum(name, integrator):
     assert (np.abs(got.mean(0) - expected.mean(0)) < 8 * error + 1e-4 * expected.mean(0)).all()
 
 
+@pytest.mark.parametrize("name", ["solid_angle", "projected_solid_angle"])
+def test_gradient_through_a_draw(name):
+    """Of the emitter's own method, which is traced again for it: also linear in the radiance."""
+    colour = np.array([4, 3, 2])
+    radiance = {"type": "rgb", "value": colour.tolist()}
+    scene = mi.load_dict({"type": "scene", "lamp": lamp(ELLIPSE, name, radiance)})
+    parameters = mi.traverse(scene)
+    dr.enable_grad(parameters["lamp.emitter.radiance.value"])
+    parameters.update()
+    it = dr.zeros(mi.SurfaceInteraction3f, 4)
+    it.p, it.n = mi.Point3f([0, 0.1, 0.2, 0.3], 0, 0), mi.Normal3f(0, 0, 1)
+    u = mi.Point2f([0.3, 0.4, 0.5, 0.6], [0.5, 0.6, 0.7, 0.8])
+    _, weight = scene.emitters()[0].sample_direction(it, u)
+    it.p += 1  # No longer of any interest to the draw
+    dr.backward(weight)
+    weight, slope = dr.detach(weight), dr.grad(parameters["lamp.emitter.radiance.value"])
+    dr.eval(weight, slope)  # Both traces in one kernel
+    assert weight.numpy().min() > 1
+    # Some sums of single precision
+    np.testing.assert_allclose(np.ravel(slope) * colour, weight.numpy().sum(1), rtol=1e-5)
+
+
 @pytest.mark.parametrize("name", ["solid_angle", "area"])
 def test_gradient_of_a_texture_is_that_of_the_built_in(name):
     """Texel by texel."""

@@ -7,11 +7,14 @@ A strategy is a class with three methods::
     pdf(record, direction) -> pdf
 
 Directions are given along the light's ``(ex, ey, normal)``. `prepare` sees the reference point and
-its normal (zero in media) and never the random numbers; the record has, beside its own, the
-`centre` of `Ellipse.light_coordinates`. `pdf` is exactly the density per solid
-angle that `sample` draws from; it does not test whether the direction meets the light, and in
-single precision it must not: the ray decides what is hit. A draw that is not `valid` carries its
-density and no light.
+its normal (zero in media) and never the random numbers; the record has, beside what is its own, the
+`centre` of the light that `Ellipse.light_coordinates` gives, in either precision. `pdf` is exactly
+the density per solid angle that `sample` draws from; it does not test whether the direction meets
+the light, and in single precision it must not: the ray decides what is hit. A draw that is not
+`valid` carries its density and no light.
+
+Dr.Jit merges no equal operations while it traces a strategy (`EllipticalArea._lookup`). What is
+used twice has a name, and so has a literal in the code that every path runs.
 """
 
 from functools import partial

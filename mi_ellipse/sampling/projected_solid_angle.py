@@ -131,10 +131,10 @@ class _CrossSection(NamedTuple):
 def _cross_section(cut: Slices, eta: mi.Float) -> _CrossSection:
     one, inv = mi.Float(1), cut.inv_eta_max
     i = dr.rcp(dr.fma(eta, eta, one))
-    scaled, product = cut.scale * i, cut.eta_max * eta
+    scaled, etas = cut.scale * i, cut.eta_max * eta
     # The differences are exact at a rim
     inside = ((cut.eta_max - eta) * inv) * ((cut.eta_max + eta) * inv)
-    inside *= dr.fma(-product, product, one)
+    inside *= dr.fma(-etas, etas, one)
     return _CrossSection(cut.slope * eta * scaled, cut.height * scaled, inside, i)
 
 
@@ -165,9 +165,9 @@ def _weight(cut: Slices, eta: mi.Float) -> mi.Float:
     ab, sum2 = mid2 - half2, mid2 + half2
     product = dr.fma(ab, ab, sum2 + sum2 + one)
     root = dr.sqrt(product)
-    rooted = root + one
-    larger = dr.square(rooted + dr.abs(ab))
-    total = 2 * (sum2 + rooted)
+    root += one
+    larger = dr.square(root + dr.abs(ab))
+    total = 2 * (sum2 + root)
     same_side = ab > 0
     ratio = dr.select(same_side, total, larger) / dr.select(same_side, larger, total)
     length2 = ratio * (inside / product)

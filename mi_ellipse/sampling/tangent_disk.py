@@ -54,8 +54,9 @@ class TangentDisk:
     def prepare(self, ellipse: Ellipse, reference: mi.Point3f, normal: mi.Normal3f) -> Record:
         """Cap of a reference point; its normal is not used."""
         seen = cone.from_point(ellipse, reference)
-        cosine = dr.maximum(1 - cone.solid_angle(seen) * dr.inv_two_pi, MINIMUM_COSINE)
-        height = dr.minimum(cone.solid_angle(seen) * dr.inv_two_pi, 1 - MINIMUM_COSINE)
+        share = cone.solid_angle(seen) * dr.inv_two_pi  # Of the hemisphere
+        cosine = dr.maximum(1 - share, MINIMUM_COSINE)
+        height = dr.minimum(share, 1 - MINIMUM_COSINE)
         return Record(seen, height, dr.sqrt(height * (2 - height)) / cosine)
 
     def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
