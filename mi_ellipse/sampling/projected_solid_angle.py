@@ -164,8 +164,7 @@ def _weight(cut: Slices, eta: mi.Float) -> mi.Float:
     # (length / 2 half)² = ratio / ((1 + a²) (1 + b²)) for a slice from a = mid - half to b
     ab, sum2 = mid2 - half2, mid2 + half2
     product = dr.fma(ab, ab, sum2 + sum2 + one)
-    root = dr.sqrt(product)
-    root += one
+    root = dr.sqrt(product) + one
     larger = dr.square(root + dr.abs(ab))
     total = 2 * (sum2 + root)
     same_side = ab > 0

@@ -64,7 +64,7 @@ class Textured:
         return Record(
             strategy=self.strategy.prepare(ellipse, reference, normal),
             light=ellipse,
-            centre=mi.Vector3f(ellipse.light_coordinates(reference)),
+            centre=seen.centre,
             share=dr.clip(share, MINIMUM_SHARE, 1 - MINIMUM_SHARE),
         )
 
