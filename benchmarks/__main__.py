@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import argparse
 import json
+from importlib import import_module
+from inspect import signature
 from pathlib import Path
 
 import mitsuba as mi
 
 DATA = Path(__file__).parent.parent / "docs" / "data"
-NAMES = ("accuracy", "render_time", "error", "lamps", "first_frame", "growth")
+NAMES = (
+    "accuracy",
+    "calls",
+    "render_time",
+    "error",
+    "choice",
+    "lamps",
+    "first_frame",
+    "growth",
+)
 
 
 def main() -> None:
@@ -17,21 +28,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("names", nargs="*", choices=NAMES, default=[], metavar="NAME",
                         help=f"{', '.join(NAMES)}; all by default")  # fmt: skip
-    parser.add_argument("--pairs", type=int, help="timed pairs of render_time and error")
+    parser.add_argument(
+        "--pairs", type=int, help="timed pairs, where a benchmark has them; 40 by default"
+    )
     arguments = parser.parse_args()
 
     mi.set_variant("llvm_ad_rgb")
-    from . import accuracy, error, first_frame, growth, harness, lamps, render_time, report
+    from . import accuracy, harness, report
 
-    modules = (accuracy, render_time, error, lamps, first_frame, growth)
-    runs = {module.__name__.split(".")[-1]: module for module in modules}
     for name in arguments.names or NAMES:
         print(f"---- {name}: {harness.machine()} ----", flush=True)
         if name == "accuracy":
             accuracy.main([])
             continue
-        timed = name in ("render_time", "error") and arguments.pairs
-        results = runs[name].run(**({"pairs": arguments.pairs} if timed else {}))
+        run = import_module(f".{name}", __package__).run
+        timed = "pairs" in signature(run).parameters and arguments.pairs
+        results = run(**({"pairs": arguments.pairs} if timed else {}))
         DATA.mkdir(parents=True, exist_ok=True)
         results = {"machine": harness.machine(), name: results}
         (DATA / f"{name}.json").write_text(json.dumps(results, indent=1) + "\n")

@@ -203,9 +203,10 @@ def moments(pictures: np.ndarray, reference: np.ndarray, mask: np.ndarray) -> di
 def sample_times(contenders: dict, rounds: int) -> dict[str, dict]:
     """Time of a sample of each contender, a function of spp and seed, and against the first.
 
-    All take their turn in every round, in changing order. A neighbour on the machine doubles even
-    the processor time of a picture, and never shortens it: the shortest at either count is taken.
-    The range of a ratio is that of even and odd rounds by themselves.
+    All take their turn in every round, in changing order. A neighbour on the machine doubles the
+    time of a picture, and never shortens it: the shortest at either count is taken. Processor time
+    is kept beside it, and holds what idle threads of a renderer burn too. `low` and `high` are
+    the ratios of even and odd rounds by themselves, whose shortest times are longer.
     """
     pictures = {name: [] for name in contenders}
     for work, counts in contenders.values():
@@ -281,10 +282,11 @@ def compare(cycles: Cycles, height: float, seeds: int, rounds: int) -> tuple[dic
 
 
 def table(heights: dict) -> str:
-    """Markdown table; a gain is in trimmed error × processor time."""
+    """Markdown table; a gain is in trimmed error × time."""
     lines = [
         "| lamp at | estimator | renderer and lamp | variance | less than Cycles, trimmed "
-        "| ns a sample | of Cycles' time | gain on Cycles | gain on `disk + area` |",
+        "| ns a sample | of Cycles' time (even, odd rounds) | gain on Cycles "
+        "| gain on `disk + area` |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for height, estimators in heights.items():
@@ -292,7 +294,8 @@ def table(heights: dict) -> str:
             rows = entry["rows"]
             bases = rows[CYCLES], rows[BUILT_IN]
             for name, row in rows.items():
-                speed = [base["time"]["cpu"]["ratio"]["value"] for base in (row, *bases)]
+                speed = [base["time"]["wall"]["ratio"]["value"] for base in (row, *bases)]
+                halves = "{low:.3g}, {high:.3g}".format(**row["time"]["wall"]["ratio"])
                 less = [bases[0][key] / row[key] for key in ("variance", "trimmed")]
                 gains = [
                     np.format_float_positional(
@@ -309,8 +312,8 @@ def table(heights: dict) -> str:
                     name if name == CYCLES else f"Mitsuba, `{name}`",
                     f"{row['variance']:.3g} ± {row['standard_error']:.1g}",
                     f"{less[0]:.3g}, {less[1]:.3g}",
-                    f"{row['time']['cpu']['nanoseconds']:.3g}",
-                    f"{speed[0]:.3g}",
+                    f"{row['time']['wall']['nanoseconds']:.3g}",
+                    "1" if name == CYCLES else f"{speed[0]:.3g} ({halves})",
                     *(gains if name != CYCLES else (gains[0], "")),
                 ]
                 lines.append(f"| {' | '.join(cells)} |")

@@ -1,19 +1,21 @@
-"""Latency of the first frame: loading, tracing and compilation, each in a new process."""
+"""Latency of the first frame: import, loading, tracing and compilation, each in a new process."""
 
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
-import tempfile
 import time
-from pathlib import Path
 
 import numpy as np
+from mi_ellipse.sampling import STRATEGIES
 
-KINDS = ("disk + area", "area", "solid_angle", "projected_solid_angle")
-REPEATS = 7
+from .harness import PAIRS, Ratio, in_new_process, peak_memory
+from .scenes import BUILT_IN, floor_ball_lamp
+
+CONTROL = "disk + area again"
+KINDS = (BUILT_IN, CONTROL, *STRATEGIES)
+IMPORTS = 9
 
 
 def measure(kind: str) -> dict[str, float]:
@@ -22,63 +24,66 @@ def measure(kind: str) -> dict[str, float]:
     import mitsuba as mi
 
     mi.set_variant("llvm_ad_rgb")
-    from .scenes import floor_ball_lamp
-
     ready = time.perf_counter()
-    scene = floor_ball_lamp(kind, size=64)
+    scene = floor_ball_lamp(BUILT_IN if kind == CONTROL else kind, size=64)
     loaded = time.perf_counter()
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        image = mi.render(scene, spp=1)
-        traced = time.perf_counter()
-        image.numpy()
+        mi.render(scene, spp=1).numpy()
         end = time.perf_counter()
-        compilation = sum(k.get("backend_time", 0) for k in dr.kernel_history()) / 1e3
+        kernels = dr.kernel_history()
+    compilation, execution = (
+        sum(kernel.get(f"{step}_time", 0) for kernel in kernels) / 1e3
+        for step in ("backend", "execution")
+    )
     return {
         "load": loaded - ready,
-        "trace": traced - loaded,
+        "trace": end - loaded - compilation - execution,
         "compile": compilation,
+        "run": execution,
         "first frame": end - ready,
-        "peak MiB": _peak_memory(),
+        "peak MiB": peak_memory(),
     }
 
 
-def _peak_memory() -> float:
-    """Peak memory of this process in MiB, on Linux; `getrusage` would include its parent's."""
-    status = Path("/proc/self/status").read_text()
-    return int(re.search(r"VmHWM:\s*(\d+)", status).group(1)) / 1024
-
-
-def import_cost() -> float:
-    """Seconds that `import mi_ellipse` adds to `import mitsuba`: the median of new processes."""
+def import_times() -> dict[str, float]:
+    """Median seconds of `import mitsuba`, and of `import mi_ellipse` after it."""
     code = (
-        "import time, mitsuba; start = time.perf_counter(); import mi_ellipse;"
-        "print(time.perf_counter() - start)"
+        "import time; a = time.perf_counter(); import mitsuba; b = time.perf_counter();"
+        "import mi_ellipse; print(b - a, time.perf_counter() - b)"
     )
+    command = [sys.executable, "-c", code]
     runs = [
-        float(subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout)
-        for _ in range(REPEATS)
+        subprocess.run(command, capture_output=True, check=True).stdout.split()
+        for _ in range(IMPORTS)
     ]
-    return float(np.median(runs))
+    seconds = np.median(np.array(runs, dtype=float), axis=0)
+    return dict(zip(("mitsuba", "mi_ellipse"), seconds.tolist(), strict=True))
 
 
-def run() -> dict:
-    """Medians over processes, kinds interleaved, with an empty kernel cache in each."""
-    runs = {kind: [] for kind in KINDS}
-    for _ in range(REPEATS):
-        for kind in KINDS:
-            with tempfile.TemporaryDirectory() as home:
-                # Dr.Jit keeps compiled kernels in the home folder.
-                command = f"HOME={home} exec {sys.executable} -m benchmarks.first_frame '{kind}'"
-                output = subprocess.run(["sh", "-c", command], capture_output=True, check=True)
-            runs[kind].append(json.loads(output.stdout))
-    results = {
-        kind: {step: float(np.median([row[step] for row in rows])) for step in rows[0]}
-        for kind, rows in runs.items()
-    }
-    for kind, row in results.items():
-        print(f"{kind:<24}" + "  ".join(f"{step} {value:.3f}" for step, value in row.items()))
-    results["import of mi_ellipse after mitsuba"] = import_cost()
-    print(f"import of mi_ellipse after mitsuba: {results[list(results)[-1]]:.3f} s")
+def run(pairs: int = PAIRS) -> dict:
+    """Medians over processes, in which the kinds take turns, and ratios against built-in."""
+    rows = {kind: [] for kind in KINDS}
+    for k in range(pairs):
+        for kind in KINDS[:: 1 if k % 2 else -1]:
+            rows[kind].append(in_new_process("benchmarks.first_frame", kind))
+    results = {"imports": import_times(), "kinds": {}}
+    print(f"imports: {results['imports']}")
+    for kind in KINDS:
+        steps = {
+            step: float(np.median([row[step] for row in rows[kind]])) for step in rows[kind][0]
+        }
+        ratios = {
+            step: Ratio.of(
+                [
+                    row[step] / base[step]
+                    for row, base in zip(rows[kind], rows[BUILT_IN], strict=True)
+                ]
+            )
+            for step in ("compile", "first frame")
+        }
+        results["kinds"][kind] = steps | {"ratios": {k: vars(r) for k, r in ratios.items()}}
+        print(f"{kind:<32}" + "  ".join(f"{step} {value:.3f}" for step, value in steps.items()))
+        print(" " * 32 + "  ".join(f"{step} {ratio}" for step, ratio in ratios.items()))
     return results
 
 

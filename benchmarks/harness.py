@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
+import os
 import platform
+import re
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -15,7 +22,8 @@ import mitsuba as mi
 import numpy as np
 from scipy.stats import binom
 
-Loader = Callable[[], "mi.Scene"]  # One that can be pickled
+Work = Callable[[int], float]  # Of a seed; returns the seconds that count
+Make = Callable[[], Work]  # One that can be pickled
 
 # Built-in against itself scatters by 10 % from pair to pair, and where a process happens to have
 # its code and data is worth 2 % for as long as it lives.
@@ -42,23 +50,30 @@ class Ratio:
         return f"{self.median:.3f} [{self.low:.3f}, {self.high:.3f}]"
 
 
-class Renderer:
-    """A scene in a process of its own.
+class Worker:
+    """Work in a process of its own.
 
     Dr.Jit compiles the lights of all living scenes of a process into every render, and a kernel
     with one kind of light is not that of several.
     """
 
-    def __init__(self, load: Loader, spp: int):
+    def __init__(self, make: Make):
         context = multiprocessing.get_context("spawn")
         self._connection, other = context.Pipe()
-        self._process = context.Process(target=_serve, args=(other, load, spp), daemon=True)
+        self._process = context.Process(target=_serve, args=(other, make), daemon=True)
         self._process.start()
         other.close()
 
     def time(self, seed: int) -> float:
-        """Seconds of a render."""
-        self._connection.send(seed)
+        """Seconds of the work."""
+        return self._ask(seed)
+
+    def peak_memory(self) -> float:
+        """MiB that the process had at most."""
+        return self._ask(None)
+
+    def _ask(self, question: int | None) -> float:
+        self._connection.send(question)
         return self._connection.recv()
 
     def close(self) -> None:
@@ -67,59 +82,80 @@ class Renderer:
         self._process.join()
 
 
-def _serve(connection: Connection, load: Loader, spp: int) -> None:
-    """Render once for every seed that arrives."""
+def _serve(connection: Connection, make: Make) -> None:
+    """Work for every seed that arrives."""
     mi.set_variant("llvm_ad_rgb")
-    scene = load()
+    work = make()
     while True:
         try:
             seed = connection.recv()
         except EOFError:
             return
+        connection.send(peak_memory() if seed is None else work(seed))
+
+
+def rendering(load: Callable[[], mi.Scene], spp: int) -> Make:
+    """Whole renders of a scene, tracing included."""
+    return partial(_renderer, load, spp)
+
+
+def _renderer(load: Callable[[], mi.Scene], spp: int) -> Work:
+    scene = load()
+
+    def render(seed: int) -> float:
         start = time.perf_counter()
         dr.eval(mi.render(scene, spp=spp, seed=seed))
         dr.sync_thread()
-        connection.send(time.perf_counter() - start)
+        return time.perf_counter() - start
+
+    return render
 
 
-def compare_times(
-    base: Loader, others: dict[str, Loader], spp: int, pairs: int = PAIRS
-) -> tuple[dict[str, Ratio], float]:
-    """Time renders of each of `others` right beside one of `base`, in changing order.
+@dataclass(frozen=True)
+class Comparison:
+    """What `compare_times` measures."""
 
-    Parameters
-    ----------
-    base, others
-        Functions that load a scene.
-    spp
-        Samples per pixel.
-    pairs
-        Number of pairs for each.
+    ratios: dict[str, Ratio]  # Time of each over that of the base beside it
+    seconds: float  # Median time of the base
+    peak_mib: dict[str, float]  # Memory of the processes
 
-    Returns
-    -------
-    ratios
-        Time of each over that of `base` beside it.
-    seconds
-        Median time of `base`.
-    """
+
+def compare_times(base: Make, others: dict[str, Make], pairs: int = PAIRS) -> Comparison:
+    """Time each of `others` right beside `base`, in changing order."""
     ratios = {name: [] for name in others}
-    seconds = []
+    seconds, peaks = [], {}
     for first in range(ROUNDS):
-        reference = Renderer(base, spp)
-        renderers = {name: Renderer(load, spp) for name, load in others.items()}
-        for renderer in (reference, *renderers.values()):
-            renderer.time(0)  # Compilation
-            renderer.time(1)
+        reference = Worker(base)
+        workers = {name: Worker(make) for name, make in others.items()}
+        for worker in (reference, *workers.values()):
+            worker.time(0)  # Compilation
+            worker.time(1)
         for k in range(first, pairs, ROUNDS):
-            for name, renderer in renderers.items():
-                order = (reference, renderer) if k // ROUNDS % 2 else (renderer, reference)
+            for name, worker in workers.items():
+                order = (reference, worker) if k // ROUNDS % 2 else (worker, reference)
                 times = {each: each.time(k) for each in order}
-                ratios[name].append(times[renderer] / times[reference])
+                ratios[name].append(times[worker] / times[reference])
                 seconds.append(times[reference])
-        for renderer in (reference, *renderers.values()):
-            renderer.close()
-    return {name: Ratio.of(values) for name, values in ratios.items()}, float(np.median(seconds))
+        peaks = {name: worker.peak_memory() for name, worker in workers.items()}
+        for worker in (reference, *workers.values()):
+            worker.close()
+    ratios = {name: Ratio.of(values) for name, values in ratios.items()}
+    return Comparison(ratios, float(np.median(seconds)), peaks)
+
+
+def in_new_process(module: str, *arguments: str) -> dict:
+    """The JSON that a module prints, run in a new process without any compiled kernel on disk."""
+    with tempfile.TemporaryDirectory() as home:  # Dr.Jit keeps them in the home folder
+        environment = os.environ | {"HOME": home}
+        command = [sys.executable, "-m", module, *arguments]
+        output = subprocess.run(command, env=environment, stdout=subprocess.PIPE, check=True)
+    return json.loads(output.stdout)
+
+
+def peak_memory() -> float:
+    """Peak memory of this process in MiB, on Linux; `getrusage` would include its parent's."""
+    status = Path("/proc/self/status").read_text()
+    return int(re.search(r"VmHWM:\s*(\d+)", status).group(1)) / 1024
 
 
 def machine() -> str:

@@ -1,21 +1,23 @@
-"""What many lamps cost: operations, callables, tracing and execution, against `disk` + `area`."""
+"""What many lamps cost, each case in a new process: latency, memory, tracing and execution."""
 
 from __future__ import annotations
 
-import gc
+import json
 import re
+import sys
 import time
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from .harness import in_new_process, peak_memory
 from .scenes import BUILT_IN, PATH, lamp
 
 COUNTS = (1, 10, 100, 1000)
 KINDS = (BUILT_IN, "area", "solid_angle", "projected_solid_angle")
 ROUNDS = 5
-RENDERS = 2  # of each kind in a round
+RENDERS = 3  # timed, in a process
 # So many that the first moments of a kernel, when the main thread still clears away what it has
 # traced and takes time from one of two cores, do not count.
 SPP = 256
@@ -46,13 +48,14 @@ def many_lamps(kind: str, count: int) -> mi.Scene:
     )
 
 
-def measure(kind: str, count: int) -> dict:
-    """Kernel size, and medians of the time to trace and to execute a render.
-
-    The scene is loaded for this alone: a render traces the emitters of all living scenes.
-    """
+def measure(kind: str, count: int) -> dict[str, float]:
+    """Kernel size, latency, memory, and medians of tracing and execution, in a new process."""
+    mi.set_variant("llvm_ad_rgb")
+    start = time.perf_counter()
     scene = many_lamps(kind, count)
-    mi.render(scene, spp=SPP, seed=0).numpy()
+    loaded = time.perf_counter()
+    mi.render(scene, spp=1).numpy()
+    result = {"load_s": loaded - start, "first_frame_s": time.perf_counter() - start}
     tracing, execution = [], []
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         for seed in range(1, RENDERS + 1):
@@ -64,12 +67,13 @@ def measure(kind: str, count: int) -> dict:
             kernels = [k for k in dr.kernel_history() if "operation_count" in k]
             largest = max(kernels, key=lambda kernel: kernel["operation_count"])
             execution.append(largest["execution_time"])
-    ir = largest["ir"].getvalue() if hasattr(largest["ir"], "getvalue") else str(largest["ir"])
-    return {
+    ir = largest["ir"].getvalue()
+    return result | {
         "operations": largest["operation_count"],
         "callables": len(set(re.findall(r"^define .*@(func_\w+)", ir, re.MULTILINE))),
         "tracing_ms": 1e3 * float(np.median(tracing)),
         "execution_ms": float(np.median(execution)),
+        "peak_mib": peak_memory(),
     }
 
 
@@ -77,19 +81,20 @@ def run() -> dict:
     """Table over numbers and kinds of lamps: medians over rounds, in which the kinds take turns."""
     results = {kind: {} for kind in KINDS}
     for count in COUNTS:
-        rounds = []
-        for _ in range(ROUNDS):
-            rounds.append({})
-            for kind in KINDS:
-                rounds[-1][kind] = measure(kind, count)
-                gc.collect()
+        rounds = [
+            {kind: in_new_process("benchmarks.lamps", kind, str(count)) for kind in KINDS}
+            for _ in range(ROUNDS)
+        ]
         for kind in KINDS:
-            rows = [of[kind] for of in rounds]
-            ratios = [of[kind]["execution_ms"] / of[BUILT_IN]["execution_ms"] for of in rounds]
-            results[kind][count] = row = rows[0] | {
-                "tracing_ms": float(np.median([row["tracing_ms"] for row in rows])),
-                "execution_ms": float(np.median([row["execution_ms"] for row in rows])),
-                "execution_ratio": float(np.median(ratios)),
+            results[kind][count] = row = {
+                key: float(np.median([of[kind][key] for of in rounds])) for key in rounds[0][kind]
             }
-            print(f"{count:>5} {kind:<24}{row}")
+            for step in ("tracing", "execution"):
+                ratios = [of[kind][f"{step}_ms"] / of[BUILT_IN][f"{step}_ms"] for of in rounds]
+                row[f"{step}_ratio"] = float(np.median(ratios))
+            print(f"{count:>5} {kind:<24}{row}", flush=True)
     return results
+
+
+if __name__ == "__main__":
+    print(json.dumps(measure(sys.argv[1], int(sys.argv[2]))))

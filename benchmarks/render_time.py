@@ -6,7 +6,7 @@ from functools import partial
 
 import mitsuba as mi
 
-from .harness import PAIRS, compare_times
+from .harness import PAIRS, compare_times, rendering
 from .scenes import BUILT_IN, MESH, RECTANGLE, floor_ball_lamp, scene_file
 
 BARE = "bare floor and ball"
@@ -36,10 +36,11 @@ def run(pairs: int = PAIRS, scenes: tuple[str, ...] = tuple(SCENES)) -> dict:
     for name in scenes:
         spp = SCENES[name][0]
         kinds = [BUILT_IN, *STRATEGIES, MESH, RECTANGLE]
-        others = {kind: partial(load, name, kind) for kind in kinds}
-        ratios, seconds = compare_times(partial(load, name, BUILT_IN), others, spp, pairs)
-        results[name] = {"seconds": seconds, "ratios": {k: vars(r) for k, r in ratios.items()}}
-        print(f"{name}: built-in {seconds:.3f} s, {spp} spp")
-        for kind, ratio in ratios.items():
+        others = {kind: rendering(partial(load, name, kind), spp) for kind in kinds}
+        measured = compare_times(rendering(partial(load, name, BUILT_IN), spp), others, pairs)
+        ratios = {kind: vars(ratio) for kind, ratio in measured.ratios.items()}
+        results[name] = {"seconds": measured.seconds, "ratios": ratios}
+        print(f"{name}: built-in {measured.seconds:.3f} s, {spp} spp")
+        for kind, ratio in measured.ratios.items():
             print(f"    {kind:<24}{ratio}", flush=True)
     return results

@@ -43,7 +43,6 @@ def floor_ball_lamp(
     size
         Pixels along an edge.
     """
-    to_world = mi.ScalarTransform4f().translate([0, 0, height]).rotate([1, 0, 0], 150)
     return mi.load_dict(
         {
             "type": "scene",
@@ -64,9 +63,14 @@ def floor_ball_lamp(
             },
             "floor": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(4)},
             "ball": {"type": "sphere", "center": [-0.5, -1.6, 0.4], "radius": 0.4},
-            "lamp": lamp(kind, to_world),
+            "lamp": lamp(kind, lamp_to_world(height)),
         }
     )
+
+
+def lamp_to_world(height: float) -> mi.ScalarTransform4f:
+    """Where the lamp of `floor_ball_lamp` is."""
+    return mi.ScalarTransform4f().translate([0, 0, height]).rotate([1, 0, 0], 150)
 
 
 def lamp(kind: str, to_world: mi.ScalarTransform4f) -> dict | mi.Mesh:
