@@ -30,6 +30,8 @@ mi.set_variant("llvm_ad_rgb")
 from mi_ellipse import ellipse as planar  # noqa: E402
 from mi_ellipse.sampling import STRATEGIES  # noqa: E402
 
+from .harness import machine  # noqa: E402
+
 SEED = 2017
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 
@@ -553,6 +555,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     cost, unit = measure_cost(options.rounds)
     result = {
+        "machine": machine(),
         "seed": SEED,
         "lights": options.lights,
         "samples": options.samples,
