@@ -10,17 +10,17 @@ import numpy as np
 from mi_ellipse.sampling import STRATEGIES
 
 from .harness import PAIRS, ROUNDS, Ratio, Work, Worker
-from .scenes import BUILT_IN, SEMI_AXES, lamp, lamp_to_world
+from .scenes import BUILT_IN, CONTROL, SEMI_AXES, lamp, lamp_to_world
 
 NOTHING = "nothing"  # The same kernel without the call, whose time is taken from the others
-KINDS = (NOTHING, BUILT_IN, "disk + area again", *STRATEGIES)
+KINDS = (NOTHING, BUILT_IN, CONTROL, *STRATEGIES)
 LANES = 2**18
 REPEATS = 64  # calls of each lane
 HEIGHT = 0.6
 
 
 def make(kind: str, method: str) -> Work:
-    """Nanoseconds of a call and lane, with the loop and the random numbers around it.
+    """Work that takes nanoseconds a call and lane, with the random numbers around it.
 
     From points on and above the floor under the lamp of `floor_ball_lamp`, a few behind it.
     """

@@ -11,9 +11,8 @@ import numpy as np
 from mi_ellipse.sampling import STRATEGIES
 
 from .harness import PAIRS, Ratio, in_new_process, peak_memory
-from .scenes import BUILT_IN, floor_ball_lamp
+from .scenes import BUILT_IN, CONTROL, floor_ball_lamp
 
-CONTROL = "disk + area again"
 KINDS = (BUILT_IN, CONTROL, *STRATEGIES)
 IMPORTS = 9
 

@@ -22,7 +22,7 @@ import mitsuba as mi
 import numpy as np
 from scipy.stats import binom
 
-Work = Callable[[int], float]  # Of a seed; returns the seconds that count
+Work = Callable[[int], float]  # Of a seed; returns the time that counts
 Make = Callable[[], Work]  # One that can be pickled
 
 # Built-in against itself scatters by 10 % from pair to pair, and where a process happens to have
@@ -65,7 +65,7 @@ class Worker:
         other.close()
 
     def time(self, seed: int) -> float:
-        """Seconds of the work."""
+        """Time of the work."""
         return self._ask(seed)
 
     def peak_memory(self) -> float:
@@ -116,7 +116,7 @@ class Comparison:
     """What `compare_times` measures."""
 
     ratios: dict[str, Ratio]  # Time of each over that of the base beside it
-    seconds: float  # Median time of the base
+    seconds: float  # Median time of the base, if its work returns seconds
     peak_mib: dict[str, float]  # Memory of the processes
 
 

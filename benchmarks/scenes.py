@@ -15,6 +15,7 @@ SCENES = Path(__file__).parent.parent / "scenes"
 SEMI_AXES = (1.5, 0.4)
 RADIANCE = {"type": "rgb", "value": [4, 3, 2]}
 BUILT_IN = "disk + area"
+CONTROL = "disk + area again"
 MESH = "64 triangles + area"
 RECTANGLE = "rectangle + area"
 
