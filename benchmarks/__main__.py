@@ -26,12 +26,15 @@ NAMES = (
 def main() -> None:
     """Measure, print, and keep the figures in `docs/data`."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    parser.add_argument("names", nargs="*", choices=NAMES, default=[], metavar="NAME",
-                        help=f"{', '.join(NAMES)}; all by default")  # fmt: skip
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help=f"{', '.join(NAMES)}; all by default"
+    )
     parser.add_argument(
         "--pairs", type=int, help="timed pairs, where a benchmark has them; 40 by default"
     )
     arguments = parser.parse_args()
+    if unknown := set(arguments.names) - set(NAMES):
+        parser.error(f"unknown: {', '.join(sorted(unknown))}; choose from {', '.join(NAMES)}")
 
     mi.set_variant("llvm_ad_rgb")
     from . import accuracy, harness, report

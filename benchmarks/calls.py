@@ -20,16 +20,17 @@ HEIGHT = 0.6
 
 
 def make(kind: str, method: str) -> Work:
-    """Work that takes nanoseconds a call and lane, with the random numbers around it.
+    """Work that returns nanoseconds of a call, drawing its random numbers included.
 
-    From points on and above the floor under the lamp of `floor_ball_lamp`, a few behind it.
+    Called from points on and above the floor under the lamp of `floor_ball_lamp`; a few are behind
+    the lamp.
     """
     to_world = lamp_to_world(HEIGHT)
     shape = lamp(kind if kind in STRATEGIES else BUILT_IN, to_world)
     scene = mi.load_dict({"type": "scene", "lamp": shape})
     call = partial(CALLS[method], called=kind != NOTHING, to_world=mi.Transform4f(to_world))
 
-    def kernel(seed: int) -> mi.Float:
+    def kernel(seed: mi.UInt64) -> mi.Float:
         emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), dr.zeros(mi.UInt32, LANES))
 
         def body(k, total, rng):
@@ -46,7 +47,7 @@ def make(kind: str, method: str) -> Work:
     def work(seed: int) -> float:
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
-            dr.eval(kernel(seed))
+            dr.eval(kernel(dr.opaque(mi.UInt64, seed)))
             dr.sync_thread()
             execution = sum(k["execution_time"] for k in dr.kernel_history([dr.KernelType.JIT]))
         return 1e6 * execution / (LANES * REPEATS)

@@ -9,10 +9,9 @@ import numpy as np
 
 from .error import TRIMMED
 from .harness import PAIRS, compare_times, rendering
-from .render_time import BARE, SCENES, load
+from .render_time import BARE, SCENES, STRATEGIES, load
 from .scenes import BUILT_IN, floor_ball_lamp
 
-STRATEGIES = ("area", "solid_angle", "projected_solid_angle")
 HEIGHTS = (0.25, 0.6, 2, 8)  # of the lamp, 3 long, above the bare floor
 SEEDS = 8
 

@@ -285,7 +285,7 @@ def table(heights: dict) -> str:
     """Markdown table; a gain is in trimmed error × time."""
     lines = [
         "| lamp at | estimator | renderer and lamp | variance | less than Cycles, trimmed "
-        "| ns a sample | of Cycles' time (even, odd rounds) | gain on Cycles "
+        "| ns a sample | of Cycles' time (of half the rounds each) | gain on Cycles "
         "| gain on `disk + area` |",
         "|---|---|---|---|---|---|---|---|---|",
     ]

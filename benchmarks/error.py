@@ -63,7 +63,8 @@ def render_reference(height: float) -> np.ndarray:
 def floor(height: float, reference: np.ndarray) -> float:
     """Trimmed error that no sampling of the lamp removes: of the pixel's area alone.
 
-    From solid-angle samples, one and 64 at each vertex: ``(64 MSE64 - MSE1) / 63``.
+    From solid-angle samples, one and 64 at each vertex: ``(64 MSE64 - MSE1) / 63``. That holds for
+    plain errors; trimmed ones do not quite add up.
     """
     one, many = (
         errors(
@@ -76,10 +77,10 @@ def floor(height: float, reference: np.ndarray) -> float:
 
 
 def exact_sampler(to_world: mi.ScalarTransform4f) -> mi.Integrator:
-    """Integrator of light samples exactly proportional to radiance times cosine.
+    """Integrator of light samples in proportion to radiance times cosine.
 
-    No sampling that does not know the shadows surpasses it: the light without them, in closed
-    form, times the visibility of one direction. That is chosen among `CANDIDATES` draws of
+    About the best that is possible without knowledge of the shadows: the light without them, in
+    closed form, times the visibility of one direction. That is chosen among `CANDIDATES` draws of
     `projected_solid_angle` by weights that hardly differ. For diffuse surfaces and one lamp.
     """
 

@@ -117,13 +117,13 @@ class Comparison:
 
     ratios: dict[str, Ratio]  # Time of each over that of the base beside it
     seconds: float  # Median time of the base, if its work returns seconds
-    peak_mib: dict[str, float]  # Memory of the processes
+    peak_mib: dict[str, float]  # Most memory of each process of the last round
 
 
 def compare_times(base: Make, others: dict[str, Make], pairs: int = PAIRS) -> Comparison:
-    """Time each of `others` right beside `base`, in changing order."""
+    """Time each of `others` right beside `base`, in changing order; each round in new processes."""
     ratios = {name: [] for name in others}
-    seconds, peaks = [], {}
+    seconds = []
     for first in range(ROUNDS):
         reference = Worker(base)
         workers = {name: Worker(make) for name, make in others.items()}

@@ -16,7 +16,7 @@ DOCS = Path(__file__).parent.parent / "docs"
 
 # Measured once: 100 lamps, three processes each in turns, the shortest of 36 renders.
 FIRST_TRACING = (
-    "The first version of this benchmark (commit 15e61bc) had 1.95 ms at 100 lamps with"
+    "The first version of this benchmark (commit 15e61bc) had 1.95 ms a lamp, of 100 lamps, with"
     " `solid_angle` and 5.33 with `projected_solid_angle`. Its code and today's, in turns on one"
     " machine: 1.66 and 1.13 ms, 6.06 and 2.15 ms, with built-in at 0.21 beside either."
 )
@@ -25,14 +25,15 @@ HEAD = """# What it costs and what it buys
 
 Times are ratios against Mitsuba's own `disk` + `area`, measured in one run, side by side: absolute
 times drift on a shared machine, ratios hold. *[low, high]* is the 95 % interval of the median over
-at least 40 pairs. What is given in seconds or MiB has built-in beside it. `disk + area` in a table
-is the control, built-in against itself in a process of its own; by how much it misses 1 is what
-luck with a process and its neighbours is worth, beyond the intervals.
+40 pairs. What is given in seconds or MiB has built-in beside it. The control is built-in against
+itself in a process of its own, `disk + area again` or, in [render_time], [error] and [growth],
+`disk + area`; by how much it misses 1 is what luck with a process and its neighbours is worth,
+beyond the intervals.
 
-`python -m benchmarks` measures everything anew (an hour and a half on two cores, with
-`pip install '.[test]'`), writes `docs/data` and this page; `python -m benchmarks NAME` one part,
-the name being in brackets behind each heading. `python -m benchmarks accuracy` is on the page
-[strategies](strategies.md).
+`python -m benchmarks` measures all of this page and the accuracy of the strategies anew (an hour
+and a half on two cores, with `pip install '.[test]'`) and writes `docs/data` and this page;
+`python -m benchmarks NAME` one part, the name being in brackets behind each heading. What
+`accuracy` measures is on the page [strategies](strategies.md).
 
 ![Time of a render on every scene, and what it buys near a lamp](images/benchmarks.png)
 """
@@ -64,7 +65,7 @@ def _ratio(ratio: dict) -> str:
 
 
 def _number(value: float) -> str:
-    """Three digits, without an exponent where it can do without."""
+    """Three significant digits, or a whole number from 1000 on."""
     return f"{value:.3g}" if value < 1000 else f"{value:.0f}"
 
 
@@ -107,8 +108,8 @@ def _render_time(results: dict) -> str:
     return (
         "## Time of a render [render_time]\n\n"
         "Time of a whole render, tracing included. Each scene is in a process of its own, as"
-        " Dr.Jit compiles the lights of all living scenes of a process into every render; each"
-        f" ten pairs are in new processes. Samples per pixel: {counts}.\n\n"
+        " Dr.Jit compiles the lights of all living scenes of a process into every render; a"
+        f" quarter of the pairs each is from new processes. Samples per pixel: {counts}.\n\n"
         + table("scene | lamp | time", rows)
     )
 
@@ -141,9 +142,11 @@ def _error(results: dict) -> str:
         " of the values and with its standard error: area sampling has no finite variance near the"
         " lamp, and its plain mean is a lottery. *Gain* is how many times lower error × time is"
         " than built-in's, from plain errors, from trimmed ones, and from trimmed ones above the"
-        f" part that no sampling of the lamp removes, that of the pixel's area ({floors}).\n\n"
-        "The *exact sampler* draws light samples exactly in proportion to radiance times cosine,"
-        " at the time of built-in: what remains of its error are the pixel and the shadows.\n\n"
+        f" part that no sampling of the lamp removes, that of the pixel's area ({floors}; an"
+        " estimate, as trimmed errors do not quite add up).\n\n"
+        "The *exact sampler* takes light samples in proportion to radiance times cosine (one of 32"
+        " draws by its weight, with the light in closed form), as if at the time of built-in: what"
+        " remains of its error is due to the pixel's area and the shadows.\n\n"
         + table(
             "height | samples | lamp | MSE | trimmed | time | gain: plain | trimmed"
             " | above the floor",
