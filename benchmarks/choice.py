@@ -6,8 +6,8 @@ from functools import partial
 
 import mitsuba as mi
 import numpy as np
+from mi_ellipse.study.metrics import trimmed_mean
 
-from .error import TRIMMED
 from .harness import PAIRS, compare_times, rendering
 from .render_time import BARE, SCENES, STRATEGIES, load
 from .scenes import BUILT_IN, floor_ball_lamp
@@ -20,9 +20,8 @@ def variance(scene: mi.Scene, spp: int) -> dict[str, float]:
     """Mean squared deviation of a render from the mean of `SEEDS` of them; plain and trimmed."""
     pictures = np.stack([np.array(mi.render(scene, spp=spp, seed=seed)) for seed in range(SEEDS)])
     squares = (pictures - pictures.mean(axis=0, dtype=float)) ** 2 * (SEEDS / (SEEDS - 1))
-    squares = np.sort(squares.reshape(SEEDS, -1), axis=1)
-    kept = round(squares.shape[1] * (1 - TRIMMED))
-    return {"plain": float(squares.mean()), "trimmed": float(squares[:, :kept].mean())}
+    trimmed = np.mean([trimmed_mean(of_seed) for of_seed in squares])
+    return {"plain": float(squares.mean()), "trimmed": float(trimmed)}
 
 
 def cases() -> dict[str, tuple]:

@@ -24,6 +24,8 @@ import numpy as np
 
 mi.set_variant("llvm_ad_rgb")
 
+from mi_ellipse.study.metrics import trimmed_mean  # noqa: E402
+
 from .harness import machine  # noqa: E402
 from .scenes import BUILT_IN, LIGHT_SAMPLES, PATH, RADIANCE, SEMI_AXES, lamp  # noqa: E402
 
@@ -46,7 +48,6 @@ KINDS = (BUILT_IN, "solid_angle", "projected_solid_angle")
 ESTIMATORS = {"light samples": LIGHT_SAMPLES, "MIS": PATH}
 REFERENCE_SPP = 2048
 TOLERANCE = 1e-3  # Relative, of the mean over the floor
-TRIMMED = 1e-3  # Share of the worst values left out, as in `error`
 # Time of a sample is a slope: from one count to the other what is paid once per picture cancels.
 SPP = {CYCLES: (4, 36), "Mitsuba": (32, 288)}
 
@@ -191,11 +192,10 @@ def moments(pictures: np.ndarray, reference: np.ndarray, mask: np.ndarray) -> di
     squares, means = deviation**2, deviation.mean(axis=1)
     of_seeds = squares.mean(axis=1)
     root = np.sqrt(len(pictures))
-    kept = round(squares.shape[1] * (1 - TRIMMED))
     return {
         "variance": float(of_seeds.mean()),
         "standard_error": float(of_seeds.std(ddof=1) / root),
-        "trimmed": float(np.partition(squares, kept, axis=1)[:, :kept].mean()),
+        "trimmed": float(np.mean([trimmed_mean(of_seed) for of_seed in squares])),
         "mean": float(means.mean() / (means.std(ddof=1) / root)),
     }
 

@@ -100,17 +100,17 @@ def _errors(difference: np.ndarray, reference: np.ndarray) -> dict[str, float]:
     relative = squares / (reference**2 + RELATIVE_EPSILON * reference.mean() ** 2)
     result = {
         "mse": float(squares.mean()),
-        "mse_trimmed": _trimmed_mean(squares),
+        "mse_trimmed": trimmed_mean(squares),
         "relative_mse": float(relative.mean()),
-        "relative_mse_trimmed": _trimmed_mean(relative),
+        "relative_mse_trimmed": trimmed_mean(relative),
     }
     for name in ("mse", "mse_trimmed"):
         result[f"r{name}"] = math.sqrt(result[name])
     return result
 
 
-def _trimmed_mean(values: np.ndarray) -> float:
-    """Return the mean without the largest values, at least one of them."""
+def trimmed_mean(values: np.ndarray) -> float:
+    """Return the mean without the largest 0.1 % of the values, at least one of them."""
     left_out = math.ceil(TRIMMED_FRACTION * values.size)
     kept = np.partition(values.ravel(), values.size - left_out)[: values.size - left_out]
     return float(kept.mean())
