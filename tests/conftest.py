@@ -4,7 +4,7 @@ import mi_ellipse  # noqa: F401
 import mitsuba as mi
 import numpy as np
 import pytest
-from mi_ellipse import ellipse
+from mi_ellipse.geometry import ellipse
 
 # All variants of the wheel that can run without a GPU
 VARIANTS = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import drjit as dr
 import mitsuba as mi
@@ -72,15 +73,18 @@ def _misplaced(what: str) -> str:
 
 def _transform(shape: mi.Shape) -> mi.AffineTransform4f:
     """Transform of a shape, without a look at its BSDF, emitter and media."""
-    found = []
+    finder = _finder(mi.variant())()
+    shape.traverse(finder)
+    return mi.get_property(*finder.found, shape)
+
+
+@cache
+def _finder(variant: str) -> type:
+    """Class of a callback that finds `to_world`, once a variant: its base is another one in each."""
 
     class Finder(mi.TraversalCallback):
-        def put_value(self, name, value, flags, cpptype):
+        def put(self, name, value, flags, cpptype=None):
             if name == "to_world":
-                found.append(value if cpptype is None else mi.get_property(value, cpptype, shape))
+                self.found = value, cpptype
 
-        def put_object(self, name, value, flags):
-            pass
-
-    shape.traverse(Finder())
-    return found[0]
+    return Finder

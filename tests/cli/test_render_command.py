@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from mi_ellipse import cli, doctor, render
-from mi_ellipse.errors import innermost_cause
+from mi_ellipse.system.messages import innermost_cause
 from mi_ellipse.sampling import STRATEGIES
 from mi_ellipse.scene import load_scene
 from typer.testing import CliRunner

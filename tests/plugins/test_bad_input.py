@@ -15,7 +15,7 @@ import pytest
 from conftest import floor_and
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from mi_ellipse.errors import innermost_cause
+from mi_ellipse.system.messages import innermost_cause
 from mi_ellipse.sampling import STRATEGIES
 
 EXAMPLES = 150
