@@ -8,7 +8,6 @@ import math
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
@@ -160,12 +159,10 @@ def fuzz(variant):
 
 @pytest.mark.parametrize("variant", ["llvm_ad_rgb", "scalar_rgb"])
 def test_fuzz(variant):
-    here = Path(__file__)
     program = f"import test_bad_input as t, json; print(json.dumps(t.fuzz({variant!r})))"
     process = subprocess.run(
         [sys.executable, "-c", f"import mi_ellipse; {program}"],
-        cwd=here.parent,
-        env=os.environ | {"PYTHONPATH": str(here.parent)},
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         capture_output=True,
         text=True,
         timeout=300,
