@@ -28,8 +28,13 @@ def replacement(path: str | PathLike[str]) -> Iterator[Path]:
 
 def write_text(path: str | PathLike[str], text: str) -> None:
     """Write a text in UTF-8, with its line ends as they are; an older file stays until then."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: str | PathLike[str], data: bytes | memoryview) -> None:
+    """Write a whole file; an older one stays until then."""
     with replacement(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="")
+        temporary.write_bytes(data)
 
 
 def check_writable(path: str | PathLike[str]) -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Mapping
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
@@ -13,7 +13,7 @@ import numpy as np
 import OpenEXR
 from numpy.typing import ArrayLike, NDArray
 
-from .atomic import replacement
+from .atomic import write_bytes
 
 # Names of the channels by their number, where a caller does not name them
 DEFAULT_CHANNELS = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
@@ -72,8 +72,7 @@ def write_exr(
         If the file cannot be written.
     """
     header, pixels = _header(metadata), _pixels(image, channels, half)
-    with replacement(path) as temporary:
-        OpenEXR.File(header, pixels).write(str(temporary))
+    _write(path, OpenEXR.File(header, pixels))
 
 
 def write_parts(
@@ -108,8 +107,7 @@ def write_parts(
         OpenEXR.Part(_header(metadata), _pixels(image, None, half), name)
         for name, image in parts.items()
     ]
-    with replacement(path) as temporary:
-        OpenEXR.File(made).write(str(temporary))
+    _write(path, OpenEXR.File(made))
 
 
 def read_exr(path: str | PathLike[str]) -> Image:
@@ -158,6 +156,13 @@ def read_metadata(path: str | PathLike[str]) -> dict[str, str]:
         if name not in STRUCTURE and isinstance(value, (str, int, float)):
             found[name] = str(value)
     return found
+
+
+def _write(path: str | PathLike[str], file: Any) -> None:
+    # By way of memory: OpenEXR does not notice if a disk is too full for the last bytes.
+    buffer = io.BytesIO()
+    file.write(buffer)
+    write_bytes(path, buffer.getbuffer())
 
 
 def _header(metadata: Metadata | None) -> dict[str, Any]:
@@ -266,8 +271,9 @@ def write_png(path: str | PathLike[str], image: ArrayLike, exposure: float = 0.0
     bitmap = mi.Bitmap(np.ascontiguousarray(rgb, dtype=np.float32))
     # Mitsuba's own conversion, since it dithers: smooth gradients show no steps.
     bitmap = bitmap.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, srgb_gamma=True)
-    with replacement(Path(path)) as temporary:
-        bitmap.write(str(temporary))
+    stream = mi.MemoryStream()
+    bitmap.write(stream, mi.Bitmap.FileFormat.PNG)
+    write_bytes(path, stream.raw_buffer())
 
 
 def choose_exposure(image: ArrayLike) -> float:

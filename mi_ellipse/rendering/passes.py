@@ -137,9 +137,7 @@ def render(
         image = _average(scene, sizes, seed, progress)
         seconds = time.perf_counter() - start
         timing = _split_time(seconds, dr.kernel_history())
-    return Rendering(
-        image, _channel_names(scene, image.shape[2]), sum(sizes), len(sizes), timing
-    )
+    return Rendering(image, _channel_names(scene, image.shape[2]), sum(sizes), len(sizes), timing)
 
 
 def _average(
@@ -172,11 +170,13 @@ def _split_time(seconds: float, history: Sequence[Mapping[str, Any]]) -> Timing:
 def _sensor(scene: mi.Scene) -> mi.Sensor:
     if not scene.sensors():
         raise ValueError("the scene has no sensor")
-    return scene.sensors()[0]
+    sensor: mi.Sensor = scene.sensors()[0]
+    return sensor
 
 
 def _render_pass(scene: mi.Scene, seed: mi.UInt32, spp: int) -> mi.TensorXf:
-    return mi.render(scene, seed=seed, spp=spp)
+    image: mi.TensorXf = mi.render(scene, seed=seed, spp=spp)
+    return image
 
 
 def _pass_seeds(seed: int, count: int) -> list[int]:
@@ -202,14 +202,15 @@ def _count_pixels(film: mi.Film) -> int:
 
 
 def _is_vectorized() -> bool:
-    return not mi.variant().startswith("scalar")
+    return not (mi.variant() or "").startswith("scalar")
 
 
 def _channel_names(scene: mi.Scene, count: int) -> tuple[str, ...]:
     """Return the names of the `count` channels that ``mi.render`` delivers."""
     film = _sensor(scene).film()
     film.prepare(scene.integrator().aov_names())
-    names = tuple(field.name for field in film.bitmap().struct_())
+    bitmap: Any = film.bitmap()  # `struct_` is missing in Mitsuba's stubs.
+    names = tuple(str(field.name) for field in bitmap.struct_())
     if len(names) == count:
         return names
 

@@ -4,7 +4,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from conftest import floor_and, lamp
-from mi_ellipse.errors import innermost_cause
+from mi_ellipse.system.messages import innermost_cause
 from oracle import rotation, translation
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
