@@ -90,7 +90,7 @@ def write_parts(
         Output file, replaced whole.
     parts
         Pictures by their names, each as for :func:`write_exr`, with luminance or RGB, with or
-        without alpha. They may differ in size.
+        without alpha, and all of one height and width.
     metadata
         Attributes for the header of every part.
     half
@@ -99,10 +99,14 @@ def write_parts(
     Raises
     ------
     ValueError
-        As :func:`write_exr`, or without any part or for a part without a name.
+        As :func:`write_exr`; for pictures of different sizes; without any part, or for one without
+        a name.
     """
     if not parts or not all(parts):
         raise ValueError(f"parts={list(parts)}: a file needs at least one part, each with a name")
+    sizes = {name: np.shape(image)[:2] for name, image in parts.items()}
+    if len(set(sizes.values())) > 1:
+        raise ValueError(f"parts: all must have one size, and theirs are {sizes}")
     made = [
         OpenEXR.Part(_header(metadata), _pixels(image, None, half), name)
         for name, image in parts.items()
