@@ -55,8 +55,3 @@ def parse_integers(option: str, text: str, length: int | None = None) -> list[in
         wanted = f"{length} integers" if length else "integers"
         raise typer.BadParameter(f"{option} takes {wanted} with commas between, not {text!r}")
     return [int(part) for part in parts]
-
-
-def count(number: int, singular: str, plural: str) -> str:
-    """Return a number with its noun."""
-    return f"{number} {singular if number == 1 else plural}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -18,7 +19,6 @@ from .options import (
     SceneFile,
     Seed,
     Variant,
-    count,
     parse_definitions,
 )
 from .process import interrupt_ends_process, one_line_errors
@@ -63,12 +63,16 @@ def run(
             **provenance.describe(job, rendering),
             "png_exposure_stops": exposure,
         }
+        if half and not images.fits_half(rendering.image):
+            # After hours of rendering, an error would come too late.
+            print("Stored in single precision: half precision ends at 65504.", file=sys.stderr)
+            half = False
         images.write_exr(exr, rendering.image, settings, rendering.channels, half)
         images.write_png(png, rendering.image, exposure)
 
     print(
         f"{exr} and {png} ({exposure:+g} stops): {rendering.spp} spp,"
-        f" {count(rendering.passes, 'pass', 'passes')}, {rendering.seconds:.1f} s"
+        f" {_count(rendering.passes, 'pass', 'passes')}, {rendering.seconds:.1f} s"
     )
 
 
@@ -83,7 +87,7 @@ def _render(job: RenderJob) -> Rendering:
 
     if rendering.invalid_pixels:
         console.print(
-            f"WARNING: {count(rendering.invalid_pixels, 'pixel is', 'pixels are')} NaN or infinite"
+            f"WARNING: {_count(rendering.invalid_pixels, 'pixel is', 'pixels are')} NaN or infinite"
             " (black in the PNG).",
             style="bold red",
         )
@@ -105,3 +109,7 @@ def _check_writable(path: Path) -> None:
         atomic.check_writable(path)
     except OSError as error:
         raise ValueError(f"cannot write {path}: {error.strerror or error}") from None
+
+
+def _count(number: int, singular: str, plural: str) -> str:
+    return f"{number} {singular if number == 1 else plural}"

@@ -114,6 +114,13 @@ def write_parts(
     _write(path, OpenEXR.File(made))
 
 
+def fits_half(image: ArrayLike) -> bool:
+    """Tell whether half precision, which ends at 65504, holds all finite values of a picture."""
+    image = np.asarray(image)
+    # From here on, rounding gives infinity.
+    return bool(np.abs(image[np.isfinite(image)]).max(initial=0) < 65520)
+
+
 def read_exr(path: str | PathLike[str]) -> Image:
     """
     Return the picture of an OpenEXR file as an array of shape (height, width, channels).
@@ -203,7 +210,8 @@ def _pixels(
             f"channels={names}: the picture has {image.shape[2]} channels, and each needs a name"
             " of its own"
         )
-    if half and (largest := np.abs(image[np.isfinite(image)]).max(initial=0)) >= 65520:
+    if half and not fits_half(image):
+        largest = np.abs(image[np.isfinite(image)]).max()
         raise ValueError(
             f"half=True: the picture holds {largest:g}, and half precision ends at 65504; write it"
             " in single precision"

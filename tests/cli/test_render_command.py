@@ -77,6 +77,23 @@ def test_render_is_the_picture_of_mitsuba(scene_file):
     assert np.abs(read("scene.exr") / expected - 1).max() > 0.01
 
 
+def test_half_precision(scene_file):
+    assert invoke("render", scene_file, "--half").exit_code == 0
+    bitmap = mi.Bitmap("scene.exr")
+    assert bitmap.component_format() == mi.Struct.Type.Float16
+    single = mi.render(mi.load_file(str(scene_file)), spp=4, seed=0).numpy()
+    np.testing.assert_allclose(np.array(bitmap), single, rtol=2**-10)
+
+
+def test_picture_too_bright_for_half_precision_is_kept_in_single(scene_file):
+    radiance = '<rgb name="radiance" value="1000000"/><string name="sampling"'
+    scene_file.write_text(scene_file.read_text().replace('<string name="sampling"', radiance))
+    result = invoke("render", scene_file, "--half")
+    assert result.exit_code == 0
+    assert "single precision: half precision ends at 65504" in " ".join(result.stderr.split())
+    assert 65504 < read("scene.exr").max() < np.inf
+
+
 @pytest.mark.parametrize("variant", ["scalar_rgb", "llvm_ad_spectral"])
 def test_other_variants(scene_file, variant):
     reference = mi.render(mi.load_file(str(scene_file)), spp=256).numpy()
