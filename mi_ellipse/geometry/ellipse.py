@@ -22,6 +22,7 @@ PLANE_FLOOR = 1e-12
 # and far beyond the range of the cone.
 FARTHEST = 1e25
 
+
 class Hit(NamedTuple):
     """The point of a light that a direction meets."""
 

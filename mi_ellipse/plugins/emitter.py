@@ -135,7 +135,9 @@ def define(variant: str) -> type:
 
         def to_string(self) -> str:
             radiance = str(self.lamp.radiance).replace("\n", "\n  ")
-            return f"EllipticalArea[\n  sampling = {self.lamp.sampling},\n  radiance = {radiance}\n]"
+            return (
+                f"EllipticalArea[\n  sampling = {self.lamp.sampling},\n  radiance = {radiance}\n]"
+            )
 
     return EllipticalArea
 

@@ -3,17 +3,57 @@
 # Types such as `mi.Scene` exist only once a variant is set.
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 
-from .sampling import STRATEGIES
+from .. import sampling as strategies
+from ..plugins.names import ELLIPTICAL_AREA
 
-EMITTER = "ellipticalarea"
+# Mitsuba's stubs know the functions of the file resolver under another name.
+_mi: Any = mi
+
+
+@dataclass(frozen=True)
+class ParsedScene:
+    """What a scene file says, under the variant that was set when it was parsed."""
+
+    path: Path
+    config: mi.parser.ParserConfig
+    state: mi.parser.ParserState
+
+    @property
+    def scene_files(self) -> tuple[Path, ...]:
+        """The XML files: the scene and what it includes."""
+        return tuple(Path(str(file)) for file in self.state.files)
+
+    def named_files(self) -> list[tuple[str, Path]]:
+        """
+        Return where a file is named, and which one, for each mesh, texture or volume.
+
+        The content of a spectrum's file is part of what was parsed, so it is not among them.
+
+        Raises
+        ------
+        FileNotFoundError
+            If one of them does not exist.
+        """
+        with _files_found_beside(self.path):
+            found = []
+            for node in self.state.nodes:
+                if "filename" in node.props:
+                    location = mi.parser.file_location(self.state, node)
+                    name = node.props["filename"]
+                    file = Path(str(_mi.file_resolver().resolve(name)))
+                    if not file.is_file():
+                        raise FileNotFoundError(f'{location}: the file "{name}" is not found')
+                    found.append((location, file.resolve()))
+        return found
 
 
 def load_scene(
@@ -42,52 +82,53 @@ def load_scene(
     RuntimeError
         From Mitsuba, for everything that is wrong with the file itself.
     """
+    return instantiate(parse_scene(path, parameters), sampling)
+
+
+def parse_scene(
+    path: str | PathLike[str], parameters: Mapping[str, str] | None = None
+) -> ParsedScene:
+    """
+    Read an XML scene under the current variant, without loading it.
+
+    Parameters and errors are those of :func:`load_scene`.
+    """
     path = Path(path)
-    config = mi.parser.ParserConfig(mi.variant())
+    config = mi.parser.ParserConfig(mi.variant() or "")
     with _files_found_beside(path):
         state = mi.parser.parse_file(config, str(path), **(parameters or {}))
-        _refuse_detached_lamps(config, state)
+    return ParsedScene(path.resolve(), config, state)
+
+
+def instantiate(parsed: ParsedScene, sampling: str | None = None) -> mi.Scene:
+    """
+    Load a scene that has been parsed; `sampling` and errors are those of :func:`load_scene`.
+
+    What was parsed stays as it is and can be loaded again.
+    """
+    state = mi.parser.ParserState(parsed.state)
+    with _files_found_beside(parsed.path):
+        _refuse_detached_lamps(parsed.config, state)
         if sampling is not None:
             _choose_sampling(state, sampling)
-        mi.parser.transform_all(config, state)
-        scene = mi.parser.instantiate(config, state)
+        mi.parser.transform_all(parsed.config, state)
+        scene = mi.parser.instantiate(parsed.config, state)
     if not isinstance(scene, mi.Scene):
-        raise ValueError(f"{path}: the root element is no <scene>")
+        raise ValueError(f"{parsed.path}: the root element is no <scene>")
     return scene
 
 
-def digest(path: str | PathLike[str], parameters: Mapping[str, str] | None = None) -> str:
-    """
-    Return a SHA-256 of what a scene file says and of the files it names, such as meshes.
-
-    Equal for two files that differ in comments and layout alone; included files count in full.
-    """
-    path = Path(path)
-    config = mi.parser.ParserConfig(mi.variant())
-    with _files_found_beside(path):
-        state = mi.parser.parse_file(config, str(path), **(parameters or {}))
-        result = hashlib.sha256(mi.parser.write_string(state).encode())
-        for node in state.nodes:
-            if "filename" in node.props:
-                file = Path(str(mi.file_resolver().resolve(node.props["filename"])))
-                result.update(file.read_bytes() if file.is_file() else b"")
-    return result.hexdigest()
-
-
 def _lamps(state: mi.parser.ParserState) -> list[int]:
-    return [i for i, node in enumerate(state.nodes) if node.props.plugin_name() == EMITTER]
+    return [i for i, node in enumerate(state.nodes) if node.props.plugin_name() == ELLIPTICAL_AREA]
 
 
 def _choose_sampling(state: mi.parser.ParserState, sampling: str) -> None:
     """Write the strategy into every lamp of a parsed scene."""
-    if sampling not in STRATEGIES:
-        known = ", ".join(STRATEGIES)
-        raise ValueError(f'unknown sampling strategy "{sampling}"; known are: {known}')
-
+    strategies.find(sampling)
     lamps = _lamps(state)
     if not lamps:
         raise ValueError(
-            f'a sampling strategy ("{sampling}") is given, but the scene has no "{EMITTER}"'
+            f'a sampling strategy ("{sampling}") is given, but the scene has no "{ELLIPTICAL_AREA}"'
         )
     for lamp in lamps:
         state.nodes[lamp].props["sampling"] = sampling
@@ -115,19 +156,19 @@ def _refuse_detached_lamps(config: mi.parser.ParserConfig, state: mi.parser.Pars
         if lamp not in attached:
             location = mi.parser.file_location(resolved, resolved.nodes[lamp])
             raise ValueError(
-                f'{location}: this "{EMITTER}" belongs to no shape and would give no light; put it'
-                " inside the <shape> that shall shine"
+                f'{location}: this "{ELLIPTICAL_AREA}" belongs to no shape and would give no light;'
+                " put it inside the <shape> that shall shine"
             )
 
 
 @contextmanager
 def _files_found_beside(path: Path) -> Iterator[None]:
     """Let relative file names of a scene start at its folder, as ``mi.load_file`` does."""
-    before = mi.file_resolver()
+    before = _mi.file_resolver()
     extended = mi.FileResolver(before)
     extended.prepend(str(path.resolve().parent))
-    mi.set_file_resolver(extended)
+    _mi.set_file_resolver(extended)
     try:
         yield
     finally:
-        mi.set_file_resolver(before)
+        _mi.set_file_resolver(before)
