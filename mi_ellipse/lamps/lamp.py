@@ -15,8 +15,8 @@ from ..geometry.tracing import branch
 from ..sampling import find
 from .textured import Textured, follows_texture
 
-# Distances below this part of the coordinates are nothing but their rounding: a coordinate in single
-# precision is known to 2^-24, and a distance is a difference of six of them.
+# Distances below this part of the coordinates are nothing but their rounding. A coordinate in
+# single precision is known to 2^-24, and a distance comes from six of them.
 RESOLUTION = 2**-21
 
 

@@ -19,8 +19,8 @@ class Attachment:
     """The tie of a lamp to a shape.
 
     The shape `ellipse` attaches its emitter when it is built. A plain `disk` cannot, so the emitter
-    asks for its shape when it is first used, and again when the shape changes. The lamp keeps values
-    and nothing that refers to the shape: a scene with such a reference would never be freed.
+    asks for its shape when it is first used, and again when the shape changes. The lamp keeps
+    values and nothing that refers to the shape: a scene with such a reference is never freed.
     """
 
     def __init__(self, lamp: Lamp):
@@ -80,7 +80,7 @@ def _transform(shape: mi.Shape) -> mi.AffineTransform4f:
 
 @cache
 def _finder(variant: str) -> type:
-    """Class of a callback that finds `to_world`, once a variant: its base is another one in each."""
+    """Class of a callback that finds `to_world`; each variant has another base for it."""
 
     class Finder(mi.TraversalCallback):
         def put(self, name, value, flags, cpptype=None):
