@@ -2,14 +2,15 @@
 
 Along a slice the irradiance wants the density cos² λ dλ of the latitude λ. Drawn is one that is
 proportional to ``(1 + c² T²)^(-3/2) dT``, ``T = tan λ``; its ratio to the wanted density is
-``((1 + c² T²)^(3/2) / (1 + T²)²``.
+``(1 + c² T²)^(3/2) / (1 + T²)²``.
 
 - Short slices: the logarithm of that ratio, ``3/2 log(1 + c² T²) - 2 log(1 + T²)``, has the slope
   ``3/2 c² - 2`` in T² at T = 0. It vanishes for c² = 4/3 exactly.
 - Slices from pole to pole: minimised is the relative variance of the ratio. By quadrature in double
-  precision the best c² is 1.71, which is 4/3 + 0.38.
+  precision the best c² is 1.82.
 - Both together: minimised is the relative variance of the irradiance over the random lights of
-  `lights`, with the package's own code. 0.4 is within 1 % of the best.
+  `lights`, with the package's own code. 0.4 is within 1 % of the best. For lights that fill the
+  view the variance is 35 % less than with 0.
 """
 
 from __future__ import annotations

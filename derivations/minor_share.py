@@ -6,10 +6,10 @@ mean relative variance, that of 1 / p, is least for equal shares (power 0). For 
 with the horizon uniformly between axis and rim:
 
 - Power: the least one with which the squared error is at most 10 % above the least possible. It is
-  0.374; committed is 3/8. An origin of it is not recorded, this condition reproduces it.
+  0.375, the committed 3/8. An origin of it is not recorded, this condition reproduces it.
 - Polynomial: ``(1 - h)(1 + c h) / 2`` equals the shares of that power on the axis and at the rim.
   c = 1/4 is within 11 % of them for h ≤ 0.95; the least largest deviation, 6 %, is at c = 0.32. Its
-  objectives are the ones that count: they differ from those of the power by less than 5 %.
+  objectives are the ones that count: they differ from those of the power by less than 2 %.
 
 The irradiances are integrals over the unit disk, by quadrature in double precision.
 """
