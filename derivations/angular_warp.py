@@ -26,28 +26,36 @@ def half_angles(limit: float, count: int = 60) -> tuple[np.ndarray, np.ndarray]:
     return alpha.reshape(-1, 1), beta.reshape(-1, 1)
 
 
-def deviation(coefficients: np.ndarray, alpha, beta, azimuths: int = 48) -> np.ndarray:
-    """``p Ω - 1`` at azimuths of a quadrant, for half-angles of shape (pairs, 1)."""
+def warp(coefficients: np.ndarray, alpha, beta, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eccentric angle t of angles s in a quadrant, and dt/ds; half-angles of shape (pairs, 1).
+
+    Tangent over ρ, tangent of the double angle times κ, tangent times ρ.
+    """
     k0, k1, k2, k3, p1, p2 = coefficients
     a, b = (0.5 / (1 + np.cos(angle)) - 0.25 for angle in (alpha, beta))
     kappa = 1 / (1 + (a - b) * (a * (k0 * a + k1) + b * (k2 * a + k3)))
     rho = 1 - a * (p2 * a + p1)
-
-    # Tangent over ρ, tangent of the double angle times κ, tangent times ρ
-    s = np.linspace(0, np.pi / 2, azimuths + 1)
     first = np.arctan2(np.sin(s), rho * np.cos(s))
     second = 0.5 * np.arctan2(kappa * np.sin(2 * first), np.cos(2 * first))
     t = np.arctan2(rho * np.sin(second), np.cos(second))
     growth = rho / (np.sin(s) ** 2 + (rho * np.cos(s)) ** 2)
     growth = growth * kappa / (np.cos(2 * first) ** 2 + (kappa * np.sin(2 * first)) ** 2)
-    growth = growth * rho / (np.cos(second) ** 2 + (rho * np.sin(second)) ** 2)
+    return t, growth * rho / (np.cos(second) ** 2 + (rho * np.sin(second)) ** 2)
 
-    # Solid angle between azimuths: (1 - cos θmax) dφ, φ the azimuth of the eccentric angle t
+
+def solid_angle_per_azimuth(alpha, beta, t: np.ndarray) -> np.ndarray:
+    """``(1 - cos θmax) dφ/dt``, φ the azimuth of the eccentric angle t."""
     x, y = np.sin(alpha / 2) * np.cos(t), np.sin(beta / 2) * np.sin(t)
     radius2 = x**2 + y**2
     cot2 = ((x / np.tan(alpha)) ** 2 + (y / np.tan(beta)) ** 2) / radius2
     height = 1 / (1 + cot2 + np.sqrt(cot2 * (1 + cot2)))
-    part = height * np.sin(alpha / 2) * np.sin(beta / 2) / radius2 * growth
+    return height * np.sin(alpha / 2) * np.sin(beta / 2) / radius2
+
+
+def deviation(coefficients: np.ndarray, alpha, beta, azimuths: int = 48) -> np.ndarray:
+    """``p Ω - 1`` at azimuths of a quadrant, for half-angles of shape (pairs, 1)."""
+    t, growth = warp(coefficients, alpha, beta, np.linspace(0, np.pi / 2, azimuths + 1))
+    part = solid_angle_per_azimuth(alpha, beta, t) * growth
     total = (part.sum(axis=1) - 0.5 * (part[:, 0] + part[:, -1])) / azimuths
     return total[:, None] / part - 1
 

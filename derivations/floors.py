@@ -20,7 +20,9 @@ from mi_ellipse.sampling.tangent_disk import MINIMUM_COSINE
 
 RANGE = np.finfo(np.float32)
 ROUNDING = 2.0**-24  # Largest relative error of rounding
-LONGEST_NEEDLE = 1 / ROUNDING  # Aspect ratio; longer ones are thinner than the rounding of their length
+LONGEST_NEEDLE = (
+    1 / ROUNDING
+)  # Aspect ratio; longer ones are thinner than the rounding of their length
 FARTHEST_CONE = 1e18  # Distance in semi-axes up to which squared tangents are normal numbers
 
 
@@ -112,7 +114,9 @@ def windows() -> list[Window]:
             "the density falls to 0 at a rim",
             "it acts on quantiles that are drawn",
         ),
-        Window("LEAST_Q", psa.LEAST_Q, least, 4 * ROUNDING, "the density falls to 0", "it is drawn"),
+        Window(
+            "LEAST_Q", psa.LEAST_Q, least, 4 * ROUNDING, "the density falls to 0", "it is drawn"
+        ),
         Window(
             "LEAST_QUANTILE",
             psa.LEAST_QUANTILE,
