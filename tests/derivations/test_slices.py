@@ -8,7 +8,7 @@ from derivations.latitude import mean_variance
 from derivations.lights import random_lights
 
 
-@pytest.mark.parametrize(("name", "away"), [("END_NODE", 0.03), ("OUTER_NODE", 0.1)])
+@pytest.mark.parametrize(("name", "away"), [("END_NODE", 0.06), ("OUTER_NODE", 0.1)])
 def test_nodes(llvm_ad_rgb, name, away):
     lights = random_lights(60)
     divided = lights.divided  # Lights that use END_NODE; the others use OUTER_NODE
