@@ -20,9 +20,7 @@ from mi_ellipse.sampling.tangent_disk import MINIMUM_COSINE
 
 RANGE = np.finfo(np.float32)
 ROUNDING = 2.0**-24  # Largest relative error of rounding
-LONGEST_NEEDLE = (
-    1 / ROUNDING
-)  # Aspect ratio; longer ones are thinner than the rounding of their length
+LONGEST_NEEDLE = 1 / ROUNDING  # Longer ones are thinner than the rounding of their length
 FARTHEST_CONE = 1e18  # Distance in semi-axes up to which squared tangents are normal numbers
 
 

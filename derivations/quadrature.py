@@ -7,10 +7,11 @@
   0.01 and normals in all directions. It grows beyond: 1e-4 at tangents up to 100.
 - Two steps of `cone.confocal_root`: relative errors of the start, of Cauchy's step and of
   Schröder's, in double precision.
-- NEARNESS of textured lights, 1/8: the relative variance of area sampling of the solid angle, on the
-  axis of a disk of tangent T, over T² as T grows.
+- NEARNESS of textured lights, 1/8: the relative variance of area sampling of the solid angle, on
+  the axis of a disk of tangent T, over T² as T grows.
 - NEWTON_STEPS and NODES of `concentric`: errors of the eccentric angle after steps of Newton's
-  method from the angular warp, over half-angles up to 89.99°. 16 nodes against 64 nodes and 8 steps.
+  method from the angular warp, over half-angles up to 89.99°. Against 64 nodes and
+  8 steps: 4e-8 after two steps.
 """
 
 from __future__ import annotations

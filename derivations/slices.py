@@ -4,15 +4,15 @@ Each is judged with the package's own code, over the random lights of `lights`:
 
 - END_NODE, OUTER_NODE: minimised is the mean relative variance of the irradiance, over the lights
   that the horizon divides and over the others. Both committed values are within 5 % of the best.
-- AT_HORIZON: a choice between two aims, not an optimum, and an origin is not recorded. A larger value
-  raises the least density, which lies at the horizon, and the variance where the shading normal is
-  the surface's. At 0.25 no density is below 0.08 of the uniform one, twice what 0.06 gives; doubling
-  0.25 again gains a fifth.
+- AT_HORIZON: a choice between two aims, not an optimum, and an origin is not recorded. A larger
+  value raises the least density, which lies at the horizon, and the variance where the shading
+  normal is the surface's. At 0.25 no density is below 0.08 of the uniform one, twice what 0.06
+  gives; doubling 0.25 again gains a fifth to a third.
 - LEAST_CHANGE: uniform directions then have a relative variance of a quarter of its square at most,
   the variance of a linear cosine over a disk. 0.05 allows 1/1600, a deviation of 2.5 %. The factor
   of the cone's own width is (1/2)²: on the axis the cosine falls by ½ tan².
-- HIGHEST_PEAK: η follows from τ with a relative rounding of ``(1 + (κ η)²) 2⁻²⁴``, 6e-4 at 100. Lower
-  values raise the variance of needles whose κ η they cut off. Higher ones lower it where κ η > 100
+- HIGHEST_PEAK: η follows from τ with a relative rounding of ``(1 + (κ η)²) 2⁻²⁴``, 6e-4 at 100.
+  Lower values raise the variance of needles whose κ η they cut off. Higher ones lower it where κ η > 100
   (extremely long needles seen from close by), but at 1000 the rounding is 6 % already.
 - THINNEST_SIDE: the thickness of a side is a difference of numbers of the size of τ_max. Its
   relative rounding is ``2⁻²⁴ / thickness``, 0.6 % at 1e-5 and 60 % at 1e-7.
