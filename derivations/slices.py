@@ -12,8 +12,8 @@ Each is judged with the package's own code, over the random lights of `lights`:
   the variance of a linear cosine over a disk. 0.05 allows 1/1600, a deviation of 2.5 %. The factor
   of the cone's own width is (1/2)²: on the axis the cosine falls by ½ tan².
 - HIGHEST_PEAK: η follows from τ with a relative rounding of ``(1 + (κ η)²) 2⁻²⁴``, 6e-4 at 100.
-  Lower values raise the variance of needles whose κ η they cut off. Higher ones lower it where κ η > 100
-  (extremely long needles seen from close by), but at 1000 the rounding is 6 % already.
+  Lower values raise the variance of needles whose κ η they cut off. Higher ones lower it where
+  κ η > 100 (extremely long needles seen from close by), but at 1000 the rounding is 6 % already.
 - THINNEST_SIDE: the thickness of a side is a difference of numbers of the size of τ_max. Its
   relative rounding is ``2⁻²⁴ / thickness``, 0.6 % at 1e-5 and 60 % at 1e-7.
 """
