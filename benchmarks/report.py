@@ -1,4 +1,4 @@
-"""The page `docs/benchmarks.md` and its plot, from the figures in `docs/data`."""
+"""Writes the page `docs/benchmarks.md` and its plot from the figures in `docs/data`."""
 
 from __future__ import annotations
 
@@ -16,24 +16,30 @@ DOCS = Path(__file__).parent.parent / "docs"
 
 # Measured once: 100 lamps, three processes each in turns, the shortest of 36 renders.
 FIRST_TRACING = (
-    "The first version of this benchmark (commit 15e61bc) had 1.95 ms a lamp, of 100 lamps, with"
-    " `solid_angle` and 5.33 with `projected_solid_angle`. Its code and today's, in turns on one"
-    " machine: 1.66 and 1.13 ms, 6.06 and 2.15 ms, with built-in at 0.21 beside either."
+    "The first version of this benchmark (commit 15e61bc) had 1.95 ms a lamp with `solid_angle` and"
+    " 5.33 ms with `projected_solid_angle`, of 100 lamps. Its code and the code of today, in turns"
+    " on one machine:\n\n"
+    "| tracing, ms a lamp | first version | today |\n| --- | --- | --- |\n"
+    "| solid_angle | 1.66 | 1.13 |\n| projected_solid_angle | 6.06 | 2.15 |\n"
+    "| disk + area | 0.21 | 0.21 |"
 )
 
 HEAD = """# What it costs and what it buys
 
-Times are ratios against Mitsuba's own `disk` + `area`, measured in one run, side by side: absolute
-times drift on a shared machine, ratios hold. *[low, high]* is the 95 % interval of the median over
-40 pairs. What is given in seconds or MiB has built-in beside it. The control is built-in against
-itself in a process of its own, `disk + area again` or, in [render_time], [error] and [growth],
-`disk + area`; by how much it misses 1 is what luck with a process and its neighbours is worth,
-beyond the intervals.
+Times are ratios against Mitsuba's own `disk` + `area`, called *built-in* here. Both were measured in
+one run, side by side: absolute times drift on a shared machine, ratios hold. Where a value is in
+seconds or MiB, the value of built-in stands beside it.
 
-`python -m benchmarks` measures all of this page and the accuracy of the strategies anew (an hour
-and a half on two cores, with `pip install '.[test]'`) and writes `docs/data` and this page;
-`python -m benchmarks NAME` one part, the name being in brackets behind each heading. What
-`accuracy` measures is on the page [strategies](strategies.md).
+*[low, high]* is the 95 % interval of the median over 40 pairs.
+
+The control is built-in against itself in a process of its own. It is called `disk + area again`, or
+`disk + area` in [render_time], [error] and [growth]. The control misses 1 by some amount. This
+amount is what luck with a process and its neighbours is worth, beyond the intervals.
+
+`python -m benchmarks` measures this page and the accuracy of the strategies anew. It writes
+`docs/data` and this page, and takes an hour and a half on two cores. `python -m benchmarks NAME`
+measures one part: the name is in brackets behind each heading. Both need `pip install '.[test]'`.
+The page [strategies](strategies.md) shows what `accuracy` measures.
 
 ![Time of a render on every scene, and what it buys near a lamp](images/benchmarks.png)
 """
@@ -83,10 +89,12 @@ def _calls(results: dict) -> str:
     ]
     return (
         "## A draw and a density alone [calls]\n\n"
-        "Kernels that do nothing but call `sample_direction` or `pdf_direction` of an emitter, from"
-        " points on and above the floor under a lamp: nanoseconds a call on both cores together,"
-        " less those of the same kernel without the call; the same in units of a draw by `area`;"
-        " and against built-in, whose density is next to nothing.\n\n"
+        "The kernels do nothing but call `sample_direction` or `pdf_direction` of an emitter, from"
+        " points on and above the floor under a lamp. The columns give:\n\n"
+        "* nanoseconds a call, on both cores together, less those of the same kernel without the"
+        " call;\n"
+        "* the same in units of a draw by `area`;\n"
+        "* the ratio to built-in, whose density costs next to nothing.\n\n"
         + table(
             "lamp | draw, ns | density, ns | draw, of `area` | density, of a draw by `area`"
             " | draw, of built-in | density, of built-in",
@@ -107,10 +115,10 @@ def _render_time(results: dict) -> str:
     )
     return (
         "## Time of a render [render_time]\n\n"
-        "Time of a whole render, tracing included. Each scene is in a process of its own, as"
-        " Dr.Jit compiles the lights of all living scenes of a process into every render; a"
-        f" quarter of the pairs each is from new processes. Samples per pixel: {counts}.\n\n"
-        + table("scene | lamp | time", rows)
+        "The table gives the time of a whole render, tracing included. Each scene is in a process"
+        " of its own, because Dr.Jit compiles the lights of all living scenes of a process into every"
+        " render. A quarter of the pairs each is from new processes.\n\n"
+        f"Samples per pixel: {counts}.\n\n" + table("scene | lamp | time", rows)
     )
 
 
@@ -136,17 +144,20 @@ def _error(results: dict) -> str:
     floors = " and ".join(f"{e['floor']:.2g} at {h}" for h, e in results["heights"].items())
     return (
         "## Error times time near a lamp [error]\n\n"
-        "A lamp with semi-axes 1.5 and 0.4, tilted by 30° about the longer, its centre at two"
-        f" heights above a floor with a ball; {results['size']}² pixels, {results['spp']} samples"
-        " each, `independent`. *MSE* is the mean squared error, *trimmed* without the worst 0.1 %"
-        " of the values and with its standard error: area sampling has no finite variance near the"
-        " lamp, and its plain mean is a lottery. *Gain* is how many times lower error × time is"
-        " than built-in's, from plain errors, from trimmed ones, and from trimmed ones above the"
-        f" part that no sampling of the lamp removes, that of the pixel's area ({floors}; an"
-        " estimate, as trimmed errors do not quite add up).\n\n"
-        "The *exact sampler* takes light samples in proportion to radiance times cosine (one of 32"
-        " draws by its weight, with the light in closed form), as if at the time of built-in: what"
-        " remains of its error is due to the pixel's area and the shadows.\n\n"
+        "A lamp hangs above a floor with a ball, its centre at two heights. Its semi-axes are 1.5"
+        " and 0.4, and it is tilted by 30° about the longer one. The pictures have"
+        f" {results['size']}² pixels with {results['spp']} samples each, `independent`.\n\n"
+        "* *MSE* is the mean squared error.\n"
+        "* *Trimmed* is the MSE without the worst 0.1 % of the values, with its standard error."
+        " Area sampling has no finite variance near the lamp, so its plain mean is a lottery.\n"
+        "* *Gain* is how many times lower error × time is than that of built-in: from plain errors,"
+        " from trimmed errors, and from trimmed errors above the floor.\n"
+        "* *Above the floor* leaves out the part that no sampling of the lamp removes, that of the"
+        f" pixel's area: {floors}. It is an estimate, because trimmed errors do not quite add up.\n"
+        "* The *exact sampler* takes light samples in proportion to radiance times cosine. It"
+        " chooses one of 32 draws by its weight, with the light in closed form. It counts as if it"
+        " took the time of built-in. What remains of its error comes from the pixel's area and the"
+        " shadows.\n\n"
         + table(
             "height | samples | lamp | MSE | trimmed | time | gain: plain | trimmed"
             " | above the floor",
@@ -172,9 +183,9 @@ def _choice(results: dict) -> str:
     rows.append(["*worst*"] + [f"({worst[kind]:.2f})" for kind in kinds])
     return (
         "## Which strategy when [choice]\n\n"
-        "How many times lower trimmed error × time is than with `disk + area`, in the integrator"
-        " of each scene (`path` or `volpath`, with MIS), and in brackets the share of the best of"
-        " the three.\n\n" + table(" | ".join(["scene", *kinds]), rows)
+        "The table tells how many times lower trimmed error × time is than with `disk + area`, in"
+        " the integrator of each scene (`path` or `volpath`, with MIS). The share of the best of"
+        " the three is in brackets.\n\n" + table(" | ".join(["scene", *kinds]), rows)
     )
 
 
@@ -197,12 +208,14 @@ def _lamps(results: dict) -> str:
     ]
     return (
         "## Many lamps [lamps]\n\n"
-        "Operations and callables of the kernel, seconds to load the scene and until its first"
-        " frame, milliseconds to trace a render by the number of lamps (every `mi.render` traces;"
-        " `dr.freeze`, and `mi-ellipse render` in several passes, do so once), tracing and the"
-        f" execution of the kernel against `disk + area` at {LAMPS_SPP} samples per pixel, and the"
-        " memory of the process. Medians of five processes; milliseconds double with a busy"
-        " neighbour.\n\n"
+        "* *Operations* and *callables* are those of the kernel.\n"
+        "* *Load* and *first frame* are the seconds to load the scene and until its first frame.\n"
+        "* *Tracing, ms a lamp* is the time to trace a render over the number of lamps. Every"
+        " `mi.render` traces; `dr.freeze`, and `mi-ellipse render` in several passes, trace once.\n"
+        "* *Tracing* and *execution* of the kernel are ratios to `disk + area`, at"
+        f" {LAMPS_SPP} samples per pixel.\n"
+        "* *Peak MiB* is the memory of the process.\n\n"
+        "Values are medians of five processes. Milliseconds double with a busy neighbour.\n\n"
         + FIRST_TRACING
         + "\n\n"
         + table(
@@ -228,10 +241,11 @@ def _first_frame(results: dict) -> str:
     imports = results["imports"]
     return (
         "## The first frame [first_frame]\n\n"
-        "Seconds of each step, and its share, in a new process without cached kernels, 64² at 1"
-        f" sample per pixel. `import mitsuba` takes {imports['mitsuba']:.2f} s before that, and"
-        f" `import mi_ellipse` {imports['mi_ellipse']:.2f} s more. Loading is longer with the first"
-        " lamp of a process as the plugins are defined then.\n\n"
+        "The table gives the seconds of each step, and its share, in a new process without cached"
+        " kernels, at 64² pixels and 1 sample per pixel. Before that, `import mitsuba` takes"
+        f" {imports['mitsuba']:.2f} s, and `import mi_ellipse` {imports['mi_ellipse']:.2f} s more."
+        " Loading takes longer with the first lamp of a process, because the plugins are defined"
+        " then.\n\n"
         + table(
             "lamp | load, s | trace, s | compile, s | run, s | in all, s | compile, of built-in"
             " | in all, of built-in | peak MiB",
@@ -250,10 +264,10 @@ def _growth(results: dict) -> str:
     ]
     return (
         "## Image size and sample count [growth]\n\n"
-        "The bare floor and ball: seconds of a render with `disk + area`, tracing included, the"
-        " ratio of the others to it, and the memory of each process. What is the same for every"
-        " size is the tracing of a render in Python, which `dr.freeze` does once.\n\n"
-        + table(" | ".join(["image", "disk + area, s", *kinds, "peak MiB"]), rows)
+        "The scene is the bare floor and ball. The table gives the seconds of a render with"
+        " `disk + area`, tracing included, the ratio of the others to it, and the memory of each"
+        " process. The tracing of a render in Python is the same for every size; `dr.freeze` does"
+        " it once.\n\n" + table(" | ".join(["image", "disk + area, s", *kinds, "peak MiB"]), rows)
     )
 
 
