@@ -26,8 +26,8 @@ FIRST_TRACING = (
 
 HEAD = """# What it costs and what it buys
 
-Times are ratios against Mitsuba's own `disk` + `area`, called *built-in* here. Both were measured in
-one run, side by side: absolute times drift on a shared machine, ratios hold. Where a value is in
+Times are ratios against Mitsuba's own `disk` + `area`, called *built-in* here. Both were measured
+in one run, side by side: absolute times drift on a shared machine, ratios hold. Where a value is in
 seconds or MiB, the value of built-in stands beside it.
 
 *[low, high]* is the 95 % interval of the median over 40 pairs.
@@ -116,8 +116,8 @@ def _render_time(results: dict) -> str:
     return (
         "## Time of a render [render_time]\n\n"
         "The table gives the time of a whole render, tracing included. Each scene is in a process"
-        " of its own, because Dr.Jit compiles the lights of all living scenes of a process into every"
-        " render. A quarter of the pairs each is from new processes.\n\n"
+        " of its own, because Dr.Jit compiles the lights of all living scenes of a process into"
+        " every render. A quarter of the pairs each is from new processes.\n\n"
         f"Samples per pixel: {counts}.\n\n" + table("scene | lamp | time", rows)
     )
 

@@ -1,9 +1,10 @@
 """Solid angle, tangent ellipse and irradiance of an elliptical light: the numbers, not a picture.
 
-Every function takes the transform of a light (the image of the unit disk under it, see
-`ellipse.from_transform`) and points, and counts the light from both of its sides. Transform and
-points are Mitsuba types of the current variant, or NumPy arrays of the shapes (4, 4) and (…, 3);
-NumPy in gives NumPy out.
+Every function takes the transform of a light, and points. The light is the image of the unit disk
+under the transform (see `ellipse.from_transform`). It counts from both of its sides.
+
+Transform and points are Mitsuba types of the current variant, or NumPy arrays of the shapes (4, 4)
+and (…, 3). The result for NumPy arrays is a NumPy array.
 """
 
 from __future__ import annotations
@@ -30,17 +31,17 @@ __all__ = [
 
 
 class TangentEllipse(NamedTuple):
-    """The ellipse in the tangent plane of the unit sphere to which a light projects."""
+    """Projection of a light onto a tangent plane of the unit sphere: an ellipse."""
 
     x: mi.Vector3f  # World-space direction of the major axis
     y: mi.Vector3f  # World-space direction of the minor axis
-    z: mi.Vector3f  # World-space axis of the cone: the point where the plane touches the sphere
+    z: mi.Vector3f  # World-space axis of the cone; the plane touches the sphere at this point
     ta: mi.Float  # Semi-axes: the tangents of the larger and the smaller half-angle
     tb: mi.Float
 
 
 def _accepts_numpy(function):
-    """Let a function of Mitsuba types take NumPy points, and normals, of any leading shape."""
+    """Let a function of Mitsuba types take NumPy points and normals of any leading shape."""
 
     @wraps(function)
     def wrapped(to_world, *vectors):
@@ -77,7 +78,7 @@ def _stack(values, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _or_zero(value):
-    """Nothing beyond some 1e18 sizes, where the cone leaves the range of single precision."""
+    """Zero beyond some 1e18 sizes, where the cone leaves the range of single precision."""
     return dr.select(dr.isfinite(value), value, 0)
 
 
@@ -95,8 +96,8 @@ def solid_angle(to_world, point):
     Returns
     -------
     mi.Float or numpy.ndarray
-        Steradians, with a relative error of 1e-6 or ten times that of rounding the input to single
-        precision, whichever is larger. Between 0 and 2π; 0 where it is below 1e-38.
+        Steradians, between 0 and 2π; 0 where the solid angle is below 1e-38. The relative error is
+        1e-6, or ten times the error of rounding the input to single precision if that is larger.
     """
     return _or_zero(cone.solid_angle(_view(to_world, point).cone))
 
@@ -110,7 +111,7 @@ def tangent_ellipse(to_world, point) -> TangentEllipse:
     to_world
         Transform of the light, or its matrix.
     point
-        World-space points. Beyond some 1e18 sizes of the light the result is not finite.
+        World-space points. The result is not finite beyond some 1e18 sizes of the light.
     """
     view = _view(to_world, point)
     seen = view.cone
@@ -122,8 +123,8 @@ def tangent_ellipse(to_world, point) -> TangentEllipse:
 def vector_irradiance(to_world, point):
     """Integral of the direction over the solid angle of a light of unit radiance.
 
-    See `geometry.cone.vector_irradiance`. Its product with a normal is the irradiance, if the light
-    is above the horizon.
+    Its dot product with a normal is the irradiance, if the light is above the horizon. See
+    `geometry.cone.vector_irradiance`.
 
     Parameters
     ----------
@@ -152,7 +153,7 @@ def irradiance(to_world, point, normal):
     Returns
     -------
     mi.Float or numpy.ndarray
-        Irradiance over radiance, in [0, π], exact to some 1e-6 of what it would be without the
+        Irradiance over radiance, in [0, π]. The error is some 1e-6 of the irradiance without the
         horizon.
     """
     view = _view(to_world, point)

@@ -8,17 +8,18 @@ import numpy as np
 
 from .tracing import TINY
 
-# Gauss-Legendre rule over the azimuths at which the horizon cuts the cone. 32 nodes keep the
-# irradiance exact to some 1e-6 of what it would be without the horizon.
+# Gauss-Legendre rule over the azimuths at which the horizon cuts the cone. With 32 nodes the error
+# of the irradiance is some 1e-6 of the irradiance without the horizon.
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
 def clipped(ta: mi.Float, tb: mi.Float, normal: mi.Vector3f) -> mi.Float:
     """Irradiance from the part of a cone above the horizon of a normal.
 
-    The irradiance of the whole cone in closed form (`cone.vector_irradiance`); where the horizon
-    divides the cone, the part below it is added again. That part is a smooth integral over the
-    azimuth about the axis of the cone, in closed form along the radius. In double precision.
+    The irradiance of the whole cone has a closed form (`cone.vector_irradiance`). It counts the
+    part below the horizon as negative. Where the horizon divides the cone, this function adds that
+    part again. The part is a smooth integral over the azimuth about the axis of the cone, in closed
+    form along the radius. All of it is in double precision.
 
     Parameters
     ----------
@@ -42,15 +43,15 @@ def clipped(ta: mi.Float, tb: mi.Float, normal: mi.Vector3f) -> mi.Float:
 
 
 def _below(ta: mi.Float64, tb: mi.Float64, n: mi.Vector3d) -> mi.Float64:
-    """Irradiance, from below, of the part of the cone below a horizon with ``n.z ≥ 0``."""
+    """Irradiance from the part of the cone below the horizon, at its lower side; ``n.z ≥ 0``."""
     # The horizon is the line n.x X + n.y Y + n.z = 0 of the tangent plane. It cuts the ellipse at
-    # the eccentric angles `middle` ± `half`, between which the ellipse is below.
+    # the eccentric angles `middle` ± `half`. Between them the ellipse is below the horizon.
     reach = dr.sqrt(dr.square(n.x * ta) + dr.square(n.y * tb))
     below = reach > n.z
     half = dr.acos(dr.select(below, n.z / dr.maximum(reach, TINY), 1))
     middle = dr.atan2(-n.y * tb, -n.x * ta)
 
-    # Azimuths as the eccentric angles of sin(θ/2), which do not crowd where the light is large
+    # The azimuths are eccentric angles of sin(θ/2). These do not crowd where the light is large.
     a1, b1 = (t / dr.sqrt(2 * (q + dr.sqrt(q))) for t, q in ((ta, 1 + ta * ta), (tb, 1 + tb * tb)))
 
     def half_angle(t):

@@ -9,9 +9,9 @@ import numpy as np
 def tessellate(to_world, segments: int = 64, props: mi.Properties | None = None) -> mi.Mesh:
     """Triangle mesh of an ellipse, for previews and for comparing with mesh lights.
 
-    A fan of triangles around the centre with the area of the ellipse: its corners lie outside the
-    ellipse by ``(2π / segments)² / 12`` of the radius and the middles of its edges inside by half
-    as much (0.08 % and 0.04 % with 64 segments).
+    The mesh is a fan of triangles around the centre. It has the area of the ellipse. So its corners
+    lie outside the ellipse, by ``(2π / segments)² / 12`` of the radius. The middles of its edges lie
+    inside, by half as much. With 64 segments these are 0.08 % and 0.04 %.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def tessellate(to_world, segments: int = 64, props: mi.Properties | None = None)
     Returns
     -------
     mi.Mesh
-        With normals, and the texture coordinates of `disk`: radius and angle over 2π.
+        The mesh has normals and the texture coordinates of `disk`: radius, and angle over 2π.
     """
     if segments < 3:
         raise ValueError(f"tessellate: segments={segments} must be at least 3")
@@ -55,12 +55,12 @@ def tessellate(to_world, segments: int = 64, props: mi.Properties | None = None)
 def _fan(
     matrix: np.ndarray, segments: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Positions, normals, uv of the vertices and indices of the triangles, a column each."""
+    """Positions, normals and uv of the vertices, and indices of the triangles, one a column."""
     step = 2 * np.pi / segments
     radius = np.sqrt(step / np.sin(step))
     turns = np.arange(segments + 1) / segments
     rim = radius * np.stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns)])
-    # A centre of its own for every triangle, for the angle there is that of the triangle's middle
+    # Every triangle has a centre of its own, because uv there has the angle of its middle.
     local = np.concatenate([np.zeros((2, segments)), rim], axis=1)
     points = matrix[:3, :2] @ local + matrix[:3, 3:]
     uv = np.stack(

@@ -1,4 +1,4 @@
-"""A lamp: geometry, strategy and radiance, with its draws, densities and positions."""
+"""A lamp: light, strategy and radiance, with its draws, densities and positions."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ..geometry.tracing import branch
 from ..sampling import find
 from .textured import Textured, follows_texture
 
-# Distances below this part of the coordinates are nothing but their rounding. A coordinate in
-# single precision is known to 2^-24, and a distance comes from six of them.
+# A distance below this part of the coordinates is nothing but their rounding. Single precision
+# knows a coordinate to 2^-24, and a distance comes from six coordinates.
 RESOLUTION = 2**-21
 
 
@@ -36,11 +36,12 @@ class Draw(NamedTuple):
 class Lamp:
     """One lamp, independent of Mitsuba's emitter interface.
 
-    Draws, with their radiance, and densities are branches of the kernel. Dr.Jit calls the one kind
-    of lamp of a scene for every packet of paths, active or not; the branch looks at the mask of the
-    call and leaves inactive packets out.
+    Inactive packets of paths cost nothing, because draws and densities are branches of the kernel.
+    If a scene has one kind of lamp, Dr.Jit calls it for every packet, active or not. The branch
+    looks at the mask of the call and leaves inactive packets out. The radiance of a draw is part
+    of its branch.
 
-    Directions and their densities are detached; gradients reach the radiance.
+    Gradients reach the radiance. Directions and their densities are detached.
 
     Parameters
     ----------
@@ -49,8 +50,8 @@ class Lamp:
     sampling
         Name of a strategy.
     stored
-        The geometry; None until the lamp is placed. `dr.freeze` finds it because this is a
-        dataclass.
+        The light. It is None until the lamp is placed. `dr.freeze` finds it because this class is
+        a dataclass.
     """
 
     radiance: mi.Texture
@@ -61,13 +62,13 @@ class Lamp:
         self.follow_radiance()
 
     def place(self, to_world: mi.AffineTransform4f) -> None:
-        """Take the geometry from the transform of the unit disk, as values of their own."""
+        """Take the light from the transform of the unit disk. The lamp keeps values of its own."""
         stored = ellipse.from_transform(dr.detach(to_world)).stored()
         dr.make_opaque(stored)
         self.stored = stored
 
     def follow_radiance(self) -> None:
-        """Choose how to draw for the radiance as it is now."""
+        """Choose how to draw for the present radiance."""
         self.strategy = find(self.sampling).make()
         self.follows_texture = follows_texture(self.radiance)
         if self.follows_texture:
@@ -77,7 +78,7 @@ class Lamp:
 
     def draw(self, it: mi.Interaction3f, u: mi.Point2f) -> Draw:
         """Draw a direction from a reference point with two random numbers."""
-        # A copy of `it`, which may have changed until derivatives trace the branch again
+        # Derivatives trace the branch again, and `it` may have changed by then: keep a copy.
         drawn = branch(u, True, partial(self._draw, type(it)(it)), _draw_nothing)
         return Draw(*drawn)
 
@@ -86,14 +87,15 @@ class Lamp:
         return branch(d, active, partial(self._density, type(it)(it)), _no_density)
 
     def lights(self, point: mi.Point3f) -> mi.Mask:
-        """Tell whether a point is on the emitting side, as draws and densities decide it."""
+        """Tell whether a point is on the emitting side. Draws and densities decide it in this way."""
         with dr.suspend_grad():
             return self.stored.light().seen_from(point).lit
 
     def _draw(self, it, u):
-        """`Draw` of one trace of the branch.
+        """Fields of `Draw`, for one trace of the branch.
 
-        Integrators skip draws of no density; a NaN would survive a multiplication by zero.
+        An invalid draw gets the density zero, and integrators skip it. A NaN would survive a
+        multiplication by zero.
         """
         with dr.suspend_grad(), self._without_lookup():
             light = self.stored.light()
@@ -103,8 +105,8 @@ class Lamp:
             zero = mi.Float(0)
             valid &= view.lit & (pdf > zero) & (pdf < dr.inf)
             hit = light.hit(view, d)
-            # From a point of the lamp itself the point drawn may be this same one. The direction
-            # that `prb` and others take between the two is then 0/0.
+            # If the reference is a point of the lamp itself, the point drawn may be this same point.
+            # The direction between the two, which `prb` and others compute, is then 0/0.
             valid &= hit.distance > RESOLUTION * dr.max(dr.abs(it.p))
             pdf = dr.select(valid, pdf, zero)
             inv_pdf = dr.select(valid, dr.rcp(pdf), zero)
@@ -126,10 +128,11 @@ class Lamp:
             return dr.select(view.lit & dr.isfinite(pdf), pdf, 0)
 
     def _without_lookup(self):
-        """Let Dr.Jit not look for each new operation among all living ones.
+        """Stop Dr.Jit from searching for each new operation among all living ones.
 
-        With a hundred lamps the search is a quarter of the time to trace them, and the strategies
-        hardly repeat themselves. Mitsuba's bitmaps do, and keep it.
+        With a hundred lamps this search is a quarter of the time to trace them. The strategies
+        hardly repeat an operation, so they do without it. Mitsuba's bitmaps repeat operations, so
+        lamps with a bitmap keep it.
         """
         return dr.scoped_set_flag(dr.JitFlag.ValueNumbering, self.follows_texture)
 
@@ -138,7 +141,7 @@ class Lamp:
     def sample_position(
         self, u: mi.Point2f, active: mi.Mask
     ) -> tuple[mi.Point3f, mi.Normal3f, mi.Point2f]:
-        """Point of the lamp, normal and uv, by the texture or uniform on the surface."""
+        """Point of the lamp, normal and uv: drawn by the texture, or uniform on the surface."""
         light = self.stored.light()
         if self.follows_texture:
             uv = self.strategy.sample_position(u, active)

@@ -1,4 +1,4 @@
-"""Sampling of textured lights: the texture's own density beside that of a strategy."""
+"""Sampling of textured lamps: the density of the texture beside that of a strategy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 from ..geometry.ellipse import View
 from ..geometry.tracing import TINY
 
-# Least share of either kind of draws: the other's second moment grows by at most 1 / (1 - this).
+# Least share of either kind of draws. It limits its cost: the second moment of the other kind grows
+# by a factor of at most 1 / (1 - MINIMUM_SHARE).
 MINIMUM_SHARE = 0.05
 
 
@@ -20,16 +21,17 @@ class Record(NamedTuple):
 
     strategy: Any  # Record of the wrapped strategy
     view: View
-    share: mi.Float  # of the draws that follow the texture
+    share: mi.Float  # Share of the draws that follow the texture
 
 
 class Textured:
     """One-sample combination of a bitmap's density with that of a strategy.
 
-    Some draws follow the brightness of the texture, the others the strategy; the density is that
-    of the mixture (the balance heuristic of Veach and Guibas 1995, one-sample model). A small
-    bright feature is found by the first, a near light by the second, and the share of each follows
-    from an estimate of the relative variance that the other would have alone.
+    Neither a small bright feature nor a near light is noisy. Some draws follow the brightness of
+    the texture: they find the bright feature. The other draws follow the strategy: they suit the
+    near light. The density is that of the mixture (the balance heuristic of Veach and Guibas 1995,
+    one-sample model). The share of each kind follows from an estimate of the relative variance that
+    the other kind would have alone.
 
     Parameters
     ----------
@@ -43,21 +45,23 @@ class Textured:
         self.strategy = strategy
         self.texture = texture
 
-        # The columns of the bitmap are radii: a texel covers an area in proportion to its own.
+        # A texel covers an area in proportion to its radius, as the columns of the bitmap are radii.
         texels = np.array(dr.detach(mi.traverse(texture)["data"]), dtype=float).mean(axis=2)
         radius = (np.arange(texels.shape[1]) + 0.5) / texels.shape[1]
-        # Of a strategy alone, far from the light: the radiance varies over the area.
+        # Relative variance of a strategy alone, far from the light: the radiance varies over the
+        # area.
         contrast = _relative_variance(texels, radius)
-        # Of the texture alone, far from the light: its density per area has a factor 1 / radius.
+        # Relative variance of the texture alone, far from the light: its density per area has a
+        # factor of 1 / radius.
         spread = _relative_variance(radius, texels)
         self.contrast, self.spread = mi.Float(contrast), mi.Float(spread)
         dr.make_opaque(self.contrast, self.spread)
 
     def prepare(self, view: View, normal: mi.Normal3f) -> Record:
-        """Record of the strategy, and the share of the texture."""
+        """Compute the record of the strategy and the share of the texture."""
         seen = view.cone
-        # Of the texture alone, near the light: that of area sampling on the axis of a large disk
-        # is tan² / 8.
+        # Relative variance of the texture alone, near the light. Area sampling on the axis of a
+        # large disk has tan² / 8.
         nearness = 0.125 * seen.ta * seen.tb
         share = self.contrast / (self.contrast + self.spread + nearness)
         return Record(
@@ -91,7 +95,7 @@ class Textured:
         return self._mixture(record, direction, self.strategy.pdf(record.strategy, direction))
 
     def _mixture(self, record: Record, direction: mi.Vector3f, strategy_pdf: mi.Float) -> mi.Float:
-        """Density of both kinds of draws, per solid angle."""
+        """Density per solid angle of both kinds of draws together."""
         view = record.view
         light = view.light
         a, b, _ = light.point_from_direction(view.centre, direction)
@@ -107,9 +111,9 @@ class Textured:
         return self.texture.sample_position(u, active)[0]
 
     def texture_density(self, uv: mi.Point2f) -> mi.Float:
-        """Density of the texture's draws per area, over that of uniform draws on the surface.
+        """Density per area of the draws by the texture, over that of uniform draws.
 
-        ``uv = (radius, angle / 2π)``: the area is ``2π radius du dv`` times the semi-axes.
+        Since ``uv = (radius, angle / 2π)``, the area is ``2π radius du dv`` times the semi-axes.
         """
         return self.texture.pdf_position(uv) / dr.maximum(uv.x + uv.x, TINY)
 
@@ -117,8 +121,9 @@ class Textured:
 def follows_texture(texture: mi.Texture) -> bool:
     """Tell whether a texture can draw positions by its brightness, with their exact density.
 
-    Only bitmaps do, unless they are black. Under a `to_uv` other than the identity they draw as if
-    there were none, and miss what it moves to where they are black.
+    Only a bitmap can. It must not be black, and its `to_uv` must be the identity. Under another
+    `to_uv` a bitmap draws as if there were none. So it misses what `to_uv` moves to places where
+    the bitmap is black.
     """
     if not texture.class_name().startswith("BitmapTexture"):
         return False
