@@ -10,8 +10,8 @@ def tessellate(to_world, segments: int = 64, props: mi.Properties | None = None)
     """Triangle mesh of an ellipse, for previews and for comparing with mesh lights.
 
     The mesh is a fan of triangles around the centre. It has the area of the ellipse. So its corners
-    lie outside the ellipse, by ``(2π / segments)² / 12`` of the radius. The middles of its edges lie
-    inside, by half as much. With 64 segments these are 0.08 % and 0.04 %.
+    lie outside the ellipse, by ``(2π / segments)² / 12`` of the radius. The middles of its edges
+    lie inside, by half as much. With 64 segments these are 0.08 % and 0.04 %.
 
     Parameters
     ----------

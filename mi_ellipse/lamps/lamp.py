@@ -87,7 +87,7 @@ class Lamp:
         return branch(d, active, partial(self._density, type(it)(it)), _no_density)
 
     def lights(self, point: mi.Point3f) -> mi.Mask:
-        """Tell whether a point is on the emitting side. Draws and densities decide it in this way."""
+        """Tell whether a point is on the emitting side; draws and densities use this test."""
         with dr.suspend_grad():
             return self.stored.light().seen_from(point).lit
 
@@ -105,7 +105,7 @@ class Lamp:
             zero = mi.Float(0)
             valid &= view.lit & (pdf > zero) & (pdf < dr.inf)
             hit = light.hit(view, d)
-            # If the reference is a point of the lamp itself, the point drawn may be this same point.
+            # If the reference is a point of the lamp itself, the point drawn may be the same one.
             # The direction between the two, which `prb` and others compute, is then 0/0.
             valid &= hit.distance > RESOLUTION * dr.max(dr.abs(it.p))
             pdf = dr.select(valid, pdf, zero)

@@ -11,8 +11,8 @@ import numpy as np
 from ..geometry.ellipse import View
 from ..geometry.tracing import TINY
 
-# Least share of either kind of draws. It limits its cost: the second moment of the other kind grows
-# by a factor of at most 1 / (1 - MINIMUM_SHARE).
+# Least share of either kind of draws. It bounds the cost of mixing: the second moment of the other
+# kind grows by a factor of at most 1 / (1 - MINIMUM_SHARE).
 MINIMUM_SHARE = 0.05
 
 
@@ -45,7 +45,7 @@ class Textured:
         self.strategy = strategy
         self.texture = texture
 
-        # A texel covers an area in proportion to its radius, as the columns of the bitmap are radii.
+        # A texel covers an area in proportion to its radius: columns of the bitmap are radii.
         texels = np.array(dr.detach(mi.traverse(texture)["data"]), dtype=float).mean(axis=2)
         radius = (np.arange(texels.shape[1]) + 0.5) / texels.shape[1]
         # Relative variance of a strategy alone, far from the light: the radiance varies over the

@@ -1,4 +1,4 @@
-"""Sampling strategies, one file each; a file registers what it defines."""
+"""Sampling strategies, one file each. A file registers the strategies that it defines."""
 
 from importlib import import_module
 from pkgutil import iter_modules
@@ -7,7 +7,7 @@ from .strategy import DEFAULT, STRATEGIES, find
 
 for _module in iter_modules(__path__):
     import_module(f".{_module.name}", __name__)
-# Files import each other, so the order of the registrations says nothing.
+# Sort by name: files import each other, so the order of registration has no meaning.
 for _name in sorted(STRATEGIES):
     STRATEGIES[_name] = STRATEGIES.pop(_name)
 

@@ -23,7 +23,7 @@ class Area:
     """
 
     def prepare(self, view: View, normal: mi.Normal3f) -> View:
-        """The view is all that is needed; the normal is not used."""
+        """Return the view, which is all that is needed. The normal is not used."""
         return view
 
     def sample(self, view: View, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:

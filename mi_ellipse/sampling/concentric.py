@@ -14,7 +14,8 @@ from . import solid_angle
 from .strategy import register
 
 # Steps of Newton's method after the shifted κ map, and nodes of the Gauss-Legendre rule that
-# integrates the azimuthal density: the eccentric angle is exact to 4e-11 in double precision.
+# integrates the azimuthal density. With them the eccentric angle is exact to 4e-11 in double
+# precision.
 NEWTON_STEPS = 2
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 
@@ -37,11 +38,11 @@ def _cumulative(record: solid_angle.Record, t: mi.Float) -> mi.Float:
 
 
 def radial_map(record: Record, c: mi.Float, s: mi.Float, radius2: mi.Float) -> mi.Vector3f:
-    """Area-preserving map of the unit disk to the spherical ellipse, radii to radii.
+    """Area-preserving map of the unit disk to the spherical ellipse. It maps radii to radii.
 
     Guillén et al. 2017, section 4.1: the azimuth keeps the fraction of the quadrant's solid angle,
     and along the radius ``1 - cos θ`` is proportional to the squared radius. The inversion starts
-    from the shifted κ map and integrates a positive integrand; the published difference of
+    from the shifted κ map. It integrates a positive integrand, because the published difference of
     elliptic integrals cancels in single precision.
 
     Parameters
@@ -84,7 +85,7 @@ class Concentric:
     """
 
     def prepare(self, view: View, normal: mi.Normal3f) -> Record:
-        """Cone and solid angle of a reference point; its normal is not used."""
+        """Compute cone and solid angle of a reference point. Its normal is not used."""
         seen = solid_angle.SolidAngle().prepare(view, normal)
         return Record(
             map=seen,

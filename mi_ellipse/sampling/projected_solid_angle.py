@@ -14,34 +14,36 @@ from ..geometry.tracing import TINY, branch
 from .solid_angle import SolidAngle
 from .strategy import register
 
-# Squared scale of the tangent of the latitude: the primitive of (1 + c² T²)^(-3/2) is elementary,
-# and c² = 4/3 matches the wanted weight cos² λ to second order. Over slices from pole to pole the
-# best is 1.7-2: adding up to 0.4 for long slices halves the variance of lights that fill the view.
+# Squared scale c² of the tangent T of the latitude λ. The primitive of (1 + c² T²)^(-3/2) is
+# elementary, and c² = 4/3 matches the wanted weight cos² λ to second order. Over slices from pole
+# to pole the best value is 1.7 to 2. So up to 0.4 is added for long slices: this halves the
+# variance of lights that fill the view.
 LATITUDE_SCALE2 = 4 / 3
 LONG_SLICES = 0.4
 
-# Lights over which the cosine at the surface stays within this part of that on the axis are drawn
-# uniformly in solid angle, which takes half the time.
+# Directions are drawn uniformly in solid angle, in half the time, if the cosine at the surface
+# stays within this part of its value on the axis, over the whole light.
 LEAST_CHANGE = 0.05
 
-# Largest κ η (see `Slices`): single precision resolves η to 6e-4 there. The peak of longer needles
-# is narrower than what is drawn.
+# Largest κ η (see `Slices`). Single precision resolves η to 6e-4 there. For longer needles, the
+# peak of the integral of the cosine is narrower than the peak of what is drawn.
 HIGHEST_PEAK = 100
 
-# A side of the horizon thinner than this part of τ_max is left to the other side's density.
+# A side of the horizon that is thinner than this part of τ_max gets no draws of its own: the
+# density of the other side covers it.
 THINNEST_SIDE = 1e-5
 
 # Weight of q beside that of q² in `_profile`. Without it the density falls to zero at the horizon
-# of the geometric normal, where a shading normal's cosine does not.
+# of the geometric normal. The cosine of a shading normal does not fall to zero there.
 AT_HORIZON = 0.25
 
-# Where the factors at the ends of a side are measured: at this q and at one minus it, as the limits
-# themselves are 0/0; and at this x of a cone that the horizon does not divide.
+# Places where the factors at the ends of a side are measured. If the horizon divides the cone, they
+# are this q and one minus it, because the limits themselves are 0/0. Else they are this x.
 END_NODE = 0.12
 OUTER_NODE = 0.8
 
 # Floors and limits of single precision (derivations/floors.py)
-LEAST_LEFT = 1e-7  # Part of `_profile`'s range that is left at a rim, where the density falls to 0
+LEAST_LEFT = 1e-7  # Part of the range of `_profile` left at a rim, where the density falls to 0
 LEAST_Q = 1e-7  # q at a horizon, where the density can fall to 0
 LEAST_QUANTILE = 1e-9  # In single precision it acts as 0
 LARGEST_QUANTILE = 1 - 6e-8  # The largest number below 1
@@ -61,14 +63,15 @@ class Record(NamedTuple):
 class Slices(NamedTuple):
     """The slices of a cone.
 
-    Great circles through a pole perpendicular to the normal and to the axis of the cone slice it,
-    so that the horizon is a slice too. A slice is given by ``η = tan(ψ/2)``, ψ the longitude from
-    the axis towards the normal.
+    Great circles slice the cone. They pass through a pole that is perpendicular to the normal and
+    to the axis of the cone. So the horizon is a slice too. A slice is given by ``η = tan(ψ/2)``. ψ
+    is the longitude from the axis towards the normal.
 
-    What is drawn is ``τ = η / √(1 + κ² η²)``. The slices cross a needle that is tilted against them
-    at latitudes that change fast with ψ, and the integral of the cosine falls with the fourth power
-    of the cosine of the latitude, from a peak in η that is broad in τ. Near the axis κ η is the
-    tangent of that latitude, less where the slices are long.
+    The variable that is drawn is ``τ = η / √(1 + κ² η²)``, because a narrow peak in η is broad in
+    τ. Such a peak occurs for a needle that is tilted against the slices: they cross it at latitudes
+    that change fast with ψ, and the integral of the cosine falls with the fourth power of the
+    cosine of the latitude. Near the axis κ η is the tangent of that latitude. It is less where the
+    slices are long.
     """
 
     m: mi.Vector2f  # Direction of the normal about the axis; the pole is (-m.y, m.x, 0)
@@ -78,11 +81,11 @@ class Slices(NamedTuple):
     kappa2: mi.Float  # κ²
     tau_max: mi.Float  # τ at eta_max
     tau_horizon: mi.Float
-    slope: mi.Float  # Tangent of the latitude of the slices' centres, over ½ sin ψ
-    height: mi.Float  # and of their half-lengths, over cos ψ √(1 - (tan ψ / tan ψmax)²)
+    slope: mi.Float  # Tangent of the latitude of the centre of a slice, over ½ sin ψ
+    height: mi.Float  # Tangent of its half-length, over cos ψ √(1 - (tan ψ / tan ψmax)²)
     scale: mi.Float  # c of `LATITUDE_SCALE2`
     inv_scale: mi.Float
-    straddling: mi.Mask  # The horizon divides the cone; η < eta_horizon is its minor side
+    straddling: mi.Mask  # The horizon divides the cone; the minor side is η < eta_horizon
     minor_share: mi.Float  # Probability of the minor side
     at_horizon: float  # `AT_HORIZON`, or 0 for one side alone
 
@@ -90,7 +93,7 @@ class Slices(NamedTuple):
 class Slice(NamedTuple):
     """The part of a slice that lies in the cone."""
 
-    start: mi.Float  # s = c T / √(1 + c² T²) at its lower end, T the tangent of the latitude
+    start: mi.Float  # s = c T / √(1 + c² T²) at its lower end; T is the tangent of the latitude
     length: mi.Float  # Range of s, without cancellation
     cos2_half: mi.Float  # 1 / (1 + η²)
 
@@ -98,19 +101,20 @@ class Slice(NamedTuple):
 class Side(NamedTuple):
     """Density of the slices on one side of the horizon.
 
-    That of `_profile`, times a factor that is linear between three of its quantiles.
+    It is the density of `_profile` times a factor. The factor is linear between three quantiles of
+    the profile.
     """
 
     start: mi.Float  # τ at x = 0: the horizon, or the middle of a cone that it does not divide
     extent: mi.Float  # Range of τ to x = 1, a rim of the cone
-    s0: mi.Float  # Factor at the quantiles 0, ½ and 1, or at both rims and the middle between them
+    s0: mi.Float  # Factor at the quantiles 0, ½ and 1, or at both rims and in the middle
     s1: mi.Float
     s2: mi.Float
-    total: mi.Float  # Its mean
+    total: mi.Float  # Mean of the factor
 
 
 def _not(mask: mi.Mask) -> mi.Mask:
-    """Negation that also works in scalar variants, where `~` of a `bool` is an integer."""
+    """Negation that also works in scalar variants. There, `~` of a `bool` is an integer."""
     return dr.select(mask, mi.Mask(False), mi.Mask(True))
 
 
@@ -131,7 +135,7 @@ class _CrossSection(NamedTuple):
 
     mid: mi.Float
     size: mi.Float  # Half-length in the middle of the cone
-    inside: mi.Float  # Square of the part of it that is left at this η
+    inside: mi.Float  # Square of the part of `size` that is left at this η
     cos2_half: mi.Float
 
 
@@ -163,12 +167,12 @@ def _slice(cut: Slices, eta: mi.Float) -> Slice:
 def _weight(cut: Slices, eta: mi.Float) -> mi.Float:
     """Integral of the cosine over a slice, up to a constant.
 
-    The length of a slice is that of `_slice`, under one root with its other factors.
+    The length of the slice is that of `_slice`. It stands under one root with the other factors.
     """
     mid, size, inside, i = _cross_section(cut, eta)
     one, mid2, half2 = mi.Float(1), mid * mid, size * size * inside
 
-    # (length / 2 half)² = ratio / ((1 + a²) (1 + b²)) for a slice from a = mid - half to b
+    # For a slice from a = mid - half to b: (length / 2 half)² = ratio / ((1 + a²) (1 + b²))
     ab, sum2 = mid2 - half2, mid2 + half2
     product = dr.fma(ab, ab, sum2 + sum2 + one)
     root = dr.sqrt(product) + one
@@ -187,9 +191,9 @@ def _weight(cut: Slices, eta: mi.Float) -> mi.Float:
 def _profile(q: mi.Float, divided: mi.Mask, at_horizon: float) -> tuple[mi.Float, mi.Float]:
     """Density of the slices before it is matched, and its distribution function.
 
-    Kumaraswamy's, ``1 - (1 - w)^(3/2)``: at a rim, q = 1, it falls to zero as the length of a slice
-    does. From the middle of a cone w is q; from the horizon it is q², as the cosine grows, and a
-    little of q.
+    The distribution is that of Kumaraswamy, ``1 - (1 - w)^(3/2)``. Its density falls to zero at a
+    rim, q = 1, as the length of a slice does. From the middle of a cone w is q. From the horizon w
+    is q² and a little of q, because the cosine grows from there.
     """
     inv = 1 / (1 + at_horizon)
     w = dr.select(divided, q * (q + at_horizon) * inv, q)
@@ -207,9 +211,10 @@ def _inverse_profile(u: mi.Float, divided: mi.Mask, at_horizon: float) -> mi.Flo
 
 @cache
 def _nodes(at_horizon: float) -> tuple[tuple[float, float, float, float], ...]:
-    """Where the factors are measured, and one over the profile there.
+    """Places where the factors are measured, and one over the profile there.
 
-    As q and its reciprocal density for a cone that the horizon divides, then x and its for others.
+    An entry holds q and its reciprocal density for a cone that the horizon divides. Then it holds x
+    and its reciprocal density for other cones.
     """
     nodes = []
     for quantile in (0.0, 0.5, 1.0):
@@ -266,7 +271,7 @@ def _draw_on_side(cut: Slices, side: Side, u: mi.Float) -> mi.Float:
 
 
 def _within(cut: Slices, eta: mi.Float) -> mi.Float:
-    """η in the cone: rounding takes directions out of cones thinner than the spacing of floats."""
+    """Keep η in the cone; rounding leaves cones that are thinner than the spacing of floats."""
     limit = (1 - INWARDS) * cut.eta_max
     return dr.clip(eta, -limit, limit)
 
@@ -274,7 +279,7 @@ def _within(cut: Slices, eta: mi.Float) -> mi.Float:
 def _density(
     cut: Slices, side: Side, minor: mi.Mask, eta: mi.Float, strip: Slice, tangent: mi.Float
 ) -> mi.Float:
-    """Density per solid angle at the slice η, on this side, and the latitude with this tangent."""
+    """Density per solid angle at the slice η of this side, at the latitude with this tangent."""
     share = dr.select(minor, cut.minor_share, 1 - cut.minor_share)
     tau, stretch = _tau(cut.kappa2, eta)
     density = share * stretch * _side_density(cut, side, tau)
@@ -286,12 +291,17 @@ def _density(
 
 
 def _minor_share(h: mi.Float) -> mi.Float:
-    """Share of the draws for the smaller side, the horizon at h between axis and rim.
+    """Share of the draws for the smaller side of a cone that the horizon divides.
 
-    The sides of a small light are drawn in proportion to the power 3/8 of their irradiances: this
-    polynomial is within 11 % of that up to h = .95. The power 1 is best for the squared error of an
-    image, 0 for the mean relative variance. For lights that fill the view the share comes close to
-    one half, h being a ratio of tangents.
+    The share of each side of a small light is in proportion to the power 3/8 of its irradiance.
+    This polynomial is within 11 % of that up to h = 0.95. The power 1 would be best for the squared
+    error of an image, and the power 0 for the mean relative variance. For lights that fill the view
+    the share comes close to one half, because h is a ratio of tangents.
+
+    Parameters
+    ----------
+    h
+        Place of the horizon: 0 is the axis of the cone, 1 is the rim.
     """
     return 0.5 * (1 - h) * dr.fma(0.25, h, 1)
 
@@ -300,7 +310,7 @@ def _slices(seen: Cone, n: mi.Vector3f, one_sided: bool) -> Slices:
     """Slices of a cone for a normal in its frame."""
     ta2, tb2 = (dr.minimum(t2, LARGEST_TANGENT2) for t2 in (seen.ta2, seen.tb2))
 
-    # The normal on the side of the axis
+    # Flip the normal to the side of the axis
     one = mi.Float(1)
     flipped = n.z < 0
     nz, nm2 = dr.abs(n.z), dr.fma(n.x, n.x, n.y * n.y)
@@ -310,7 +320,7 @@ def _slices(seen: Cone, n: mi.Vector3f, one_sided: bool) -> Slices:
     inv_nm = dr.select(flipped, -inv_nm, inv_nm)
     m = mi.Vector2f(dr.select(tilted, n.x * inv_nm, one), dr.select(tilted, n.y * inv_nm, 0))
 
-    # The dual cone diag(ta², tb², -1) along m, the pole and the axis
+    # Express the dual cone diag(ta², tb², -1) along m, the pole and the axis
     tan2_max = dr.fma(ta2 * m.x, m.x, tb2 * m.y * m.y)
     inv_tan = dr.rsqrt(tan2_max)
     secant = one + dr.sqrt(one + tan2_max)
@@ -329,7 +339,7 @@ def _slices(seen: Cone, n: mi.Vector3f, one_sided: bool) -> Slices:
     if one_sided:
         share = dr.select(flipped, 1.0, 0.0)
     else:
-        # Distance of the horizon from the axis of the cone, 1 being the rim
+        # The argument is the distance of the horizon from the axis of the cone; 1 is the rim
         share = _minor_share(nz * inv_tan / dr.maximum(nm, TINY))
 
     return Slices(
@@ -368,22 +378,25 @@ def _slices(seen: Cone, n: mi.Vector3f, one_sided: bool) -> Slices:
 class ProjectedSolidAngle:
     """Directions almost proportional to the cosine at the surface, over the whole light.
 
-    The cone is cut into slices that the horizon does not cross; a slice is drawn from a density
-    that follows the integral of the cosine over it, taken at three of them, and the latitude along
-    it in closed form. The density is exact and no iteration is needed.
+    The density is exact, and no iteration is needed. The cone is cut into slices that the horizon
+    does not cross. A slice is drawn from a density that follows the integral of the cosine over the
+    slice. This integral is computed for three slices. The latitude along the slice is drawn in
+    closed form.
 
-    The renderer tells an emitter the geometric normal and not which side of the surface is seen.
-    Where the horizon divides the cone, each side gets a share of the draws, and the density does
-    not vanish at the horizon. So the estimate is unbiased for two-sided, transmitting, bumped and
-    smoothly shaded surfaces. In media, where there is no normal, and where the cosine hardly varies
-    over the light, it is `solid_angle`.
+    The estimate is unbiased for two-sided, transmitting, bumped and smoothly shaded surfaces. The
+    renderer tells an emitter the geometric normal, but not which side of the surface is seen. So
+    each side gets a share of the draws where the horizon divides the cone, and the density does not
+    vanish at the horizon.
+
+    The strategy draws as `solid_angle` does in media, where there is no normal, and where the
+    cosine hardly varies over the light.
 
     Parameters
     ----------
     one_sided
-        Of a light that the horizon divides, draw only what lies on the side of the geometric
-        normal: less variance, and a *biased* picture of surfaces seen from behind, of transmission,
-        and of shading normals that differ from the geometric one.
+        Draw only on the side of the geometric normal if the horizon divides the light. The variance
+        is lower. The picture is *biased* for surfaces seen from behind, for transmission, and for
+        shading normals that differ from the geometric normal.
     """
 
     def __init__(self, one_sided: bool = False):
@@ -391,7 +404,7 @@ class ProjectedSolidAngle:
         self.uniform = SolidAngle()
 
     def prepare(self, view: View, normal: mi.Normal3f) -> Record:
-        """Cone of a reference point, and its normal."""
+        """Compute the cone of a reference point, and its normal in the frame of the cone."""
         return Record(view.cone, view.cone.to_local(view.light.to_light(normal)))
 
     def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
@@ -405,10 +418,11 @@ class ProjectedSolidAngle:
         return self._branch(record, d, self._pdf_slices, self._pdf_whole)
 
     def _branch(self, record: Record, argument, sliced, whole):
-        """Take the slices where the cosine varies; packets of neighbouring paths mostly agree."""
+        """Use slices where the cosine varies. Packets of neighbouring paths mostly agree on it."""
         seen, n = record.cone, record.n
         nx2, ny2, nz2 = n.x * n.x, n.y * n.y, n.z * n.z
-        # Across the cone, and by its own width where the normal is along the axis
+        # The cosine varies across the cone. Where the normal is along the axis, it varies by the
+        # width of the cone.
         across2, width2 = dr.fma(nx2, seen.ta2, ny2 * seen.tb2), nz2 * seen.ta2 * seen.ta2
         varies = dr.fma(0.25, width2, across2) > LEAST_CHANGE**2 * nz2
         return branch(argument, varies, partial(sliced, record), partial(whole, record))
@@ -418,7 +432,7 @@ class ProjectedSolidAngle:
         cut = _slices(record.cone, record.n, self.one_sided)
         share = cut.minor_share
         minor = u.x < share
-        # A side with no share has no draws, but a width to divide by.
+        # A side with no share has no draws, but the division needs a width.
         width = dr.maximum(dr.select(minor, share, 1 - share), TINY)
         u_side = dr.select(minor, u.x, u.x - share) / width
         side = _side(cut, minor)
@@ -444,16 +458,16 @@ class ProjectedSolidAngle:
         cut = _slices(record.cone, record.n, self.one_sided)
         m = cut.m
         dm, de = dr.fma(m.x, d.x, m.y * d.y), dr.fma(m.x, d.y, -m.y * d.x)
-        # The pole itself has no longitude; the floor keeps the squared tangent finite.
+        # The pole itself has no longitude. The floor keeps the squared tangent finite.
         r = dr.maximum(dr.sqrt(dr.fma(dm, dm, d.z * d.z)), AT_POLE)
         eta = _within(cut, dm / dr.maximum(r + d.z, AT_POLE))
         minor = cut.straddling & (eta < cut.eta_horizon)
         return _density(cut, _side(cut, minor), minor, eta, _slice(cut, eta), de / r)
 
     def _sample_whole(self, record, u):
-        """As `_sample_slices`, uniform in solid angle."""
+        """Direction and density as in `_sample_slices`, but uniform in solid angle."""
         return self.uniform.sample_local(self.uniform.record(record.cone), u)
 
     def _pdf_whole(self, record, d):
-        """As `_pdf_slices`, uniform in solid angle."""
+        """Density as in `_pdf_slices`, but uniform in solid angle."""
         return self.uniform.pdf_local(self.uniform.record(record.cone), d)

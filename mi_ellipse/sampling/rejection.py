@@ -14,8 +14,8 @@ from .strategy import register
 class Record(NamedTuple):
     """What is computed once per reference point, in units of the longer semi-axis.
 
-    Slices of the rectangle run along one axis, the *edge* axis, at a coordinate along the other,
-    the *slice* axis.
+    A slice of the rectangle runs along one axis, the *edge* axis. Its place is a coordinate along
+    the other axis, the *slice* axis.
     """
 
     centre: mi.Vector3d
@@ -25,7 +25,7 @@ class Record(NamedTuple):
     edge1: mi.Float64
     height: mi.Float64  # Distance to the plane
     angle0: mi.Float64  # `_angle` at the start of the slice axis
-    solid_angle: mi.Float64  # of the rectangle
+    solid_angle: mi.Float64  # Solid angle of the rectangle
 
 
 def _cross_difference(t0, t1, r0, r1, rest2):
@@ -57,20 +57,23 @@ def _angle(s, t0, t1, h):
 class Rejection:
     """One try in the solid angle of the bounding rectangle; a draw beside the ellipse is dark.
 
-    Gamito, *Solid Angle Sampling of Disk and Cylinder Lights* (EGSR 2016), over the rectangle of
-    Ureña, Fajardo and King, *An Area-Preserving Parametrization for Spherical Rectangles* (EGSR
-    2013). The rectangle encloses the ellipse along its principal axes; the density is one over
-    *its* solid angle. In double precision, with an inversion that stays exact for small and
-    distant rectangles, where the published one cancels.
+    The strategy is that of Gamito, *Solid Angle Sampling of Disk and Cylinder Lights* (EGSR 2016),
+    over the rectangle of Ureña, Fajardo and King, *An Area-Preserving Parametrization for Spherical
+    Rectangles* (EGSR 2013). The rectangle encloses the ellipse along its principal axes. The
+    density is one over the solid angle of the rectangle.
+
+    The computation is in double precision. Its inversion stays exact for small and distant
+    rectangles, where the published inversion cancels.
     """
 
     def prepare(self, view: View, normal: mi.Normal3f) -> Record:
-        """Rectangle seen from a reference point; its normal is not used."""
+        """Compute the rectangle seen from a reference point. Its normal is not used."""
         centre, ratio = view.position, view.light.ratio
         height = dr.abs(centre.z)
 
-        # The edges should not straddle the reference while the slices do not, and lie further away:
-        # elsewhere the angles of the slices differ by less than their own rounding.
+        # If one axis alone straddles the reference, it is the slice axis. If neither does, the edge
+        # axis is the one that lies further away. With the other choice, the angles of the slices
+        # differ by less than their own rounding.
         x_straddles, y_straddles = dr.abs(centre.x) < 1, dr.abs(centre.y) < ratio
         farther = dr.abs(centre.x) >= dr.abs(centre.y)
         edge_is_x = dr.select(x_straddles, y_straddles, y_straddles | farther)
@@ -95,8 +98,8 @@ class Rejection:
         t0, t1, h = record.edge0, record.edge1, record.height
         u0, u1 = mi.Float64(u.x), mi.Float64(u.y)
 
-        # Slice: invert `_angle`. With half = ½(atan(t1/h) ± atan(t0/h)), the tangent of the slice's
-        # inclination is sin g / (2 √(product of the four sines below)).
+        # Draw a slice: invert `_angle`. With half = ½(atan(t1/h) ± atan(t0/h)), the tangent of the
+        # inclination of the slice is sin g / (2 √(product of the four sines below)).
         g = record.angle0 + u0 * record.solid_angle
         gap = dr.atan2(h * (t1 - t0), h * h + t0 * t1)
         both = dr.atan2(h * (t1 + t0), t0 * t1 - h * h)  # π minus the sum of the two angles
@@ -108,7 +111,7 @@ class Rejection:
         )
         s = h * dr.sin(g) * 0.5 * dr.rsqrt(dr.abs(product))
 
-        # Along the slice: the sine of the latitude is uniform between those of the edges.
+        # Draw along the slice: the sine of the latitude is uniform between those of the edges.
         d2 = s * s + h * h
         r0, r1 = dr.sqrt(t0 * t0 + d2), dr.sqrt(t1 * t1 + d2)
         span = _cross_difference(t0, t1, r0, r1, d2) / (r0 * r1)

@@ -11,13 +11,13 @@ from ..geometry.cone import Cone
 from ..geometry.ellipse import View
 from .strategy import register
 
-# Sine and cosine of the quarter angle as polynomials of its fraction and of its square: Chebyshev
-# series (derivations/azimuth.py).
+# Sine and cosine of the quarter angle, as polynomials of its fraction and of the square of the
+# fraction. They are Chebyshev series (derivations/azimuth.py).
 QUARTER_SINE = 0.785398161, -8.07454348e-2, 2.49000696e-3, -3.59543993e-5
 QUARTER_COSINE = 0.999999972, -3.08424253e-1, 1.58499130e-2, -3.18878992e-4
 
-# Coefficients of the angular warp: least largest deviation of the density from uniform over all
-# half-angles (derivations/angular_warp.py).
+# Coefficients of the angular warp. They minimise the largest deviation of the density from uniform,
+# over all half-angles (derivations/angular_warp.py).
 WARP_STRENGTH = -1.26, 1.78, 6.17, -2.29
 WARP_PLACE = 1.34, 3.65
 
@@ -26,20 +26,20 @@ class Record(NamedTuple):
     """What is computed once per reference point."""
 
     cone: Cone
-    a2: mi.Float  # sin²(α/2), half the larger half-angle
-    ratio: mi.Float  # sin(β/2) / sin(α/2), half the smaller half-angle over half the larger
+    a2: mi.Float  # sin²(α/2); α is the larger half-angle
+    ratio: mi.Float  # sin(β/2) / sin(α/2); β is the smaller half-angle
     ratio2: mi.Float  # Its square
     ka: mi.Float  # (sin(α/2) / ta)²
     kb: mi.Float  # (sin(β/2) / tb)²
-    inv_kappa: mi.Float  # Strength of the angular warp, 1 for circles
+    inv_kappa: mi.Float  # Strength of the angular warp; 1 for circles
     rho: mi.Float  # Where along the quadrant the warp acts
 
 
 def _azimuth(u: mi.Float) -> tuple[mi.Float, mi.Float]:
     """Cosine and sine of the angle ``2π u - π``, with a common factor.
 
-    Polynomials of the quarter angle, exact to 3e-8, doubled twice: a third of the time of
-    `drjit.sincos`, whose reduction of large angles is of no use here.
+    It takes a third of the time of `drjit.sincos`, whose reduction of large angles is of no use
+    here. Polynomials give the quarter angle, exact to 3e-8. The angle is then doubled twice.
     """
     v = dr.fma(2, u, -1)
     w = v * v
@@ -54,15 +54,16 @@ def _azimuth(u: mi.Float) -> tuple[mi.Float, mi.Float]:
 def _angular_warp(b0: mi.Float, b1: mi.Float) -> tuple[mi.Float, mi.Float]:
     """Parameters 1/κ, ρ of the warp that makes the density more uniform along the azimuth.
 
-    The plain half-angle map has the same density at both ends of the quadrant. κ takes away the
-    deviation between them, and ρ places the warp. Any choice gives an exact density: these are
-    polynomials fitted to the least largest deviation from uniform over all half-angles.
+    The plain half-angle map has the same density at both ends of the quadrant. κ removes the
+    deviation between them, and ρ places the warp. Every choice gives an exact density. The
+    polynomials here are fitted: they minimise the largest deviation from uniform over all
+    half-angles.
 
     Parameters
     ----------
     b0, b1
-        ``1 / (2 (1 + cos α))`` of the larger and the smaller half-angle: ¼ for small lights, ½ for
-        those that fill the hemisphere.
+        ``1 / (2 (1 + cos α))`` of the larger and the smaller half-angle. It is ¼ for small lights,
+        and ½ for lights that fill the hemisphere.
     """
     least, one = mi.Float(0.25), mi.Float(1)
     a, b = b0 - least, b1 - least
@@ -74,15 +75,15 @@ def _angular_warp(b0: mi.Float, b1: mi.Float) -> tuple[mi.Float, mi.Float]:
 
 
 def rim(record: Record, c: mi.Float, s: mi.Float) -> mi.Float:
-    """Density ``sin(α/2) sin(β/2) dt`` per solid angle at an azimuth, t its eccentric angle.
+    """Density ``sin(α/2) sin(β/2) dt`` per solid angle at an azimuth with the eccentric angle t.
 
-    It is also ``sin²(α/2) |(cos t, ratio sin t)|² / (1 - cos θmax)``, θmax the angle between axis
-    and rim.
+    It is also ``sin²(α/2) |(cos t, ratio sin t)|² / (1 - cos θmax)``. θmax is the angle between
+    axis and rim.
 
     Parameters
     ----------
     c, s
-        Cosine and sine of t, or multiples of them: the result grows with their square.
+        Cosine and sine of t, or multiples of them. The result grows with their square.
     """
     c2, s2 = c * c, s * s
     stretch = dr.fma(record.ka, c2, record.kb * s2)
@@ -96,14 +97,15 @@ class Warped(NamedTuple):
 
     c: mi.Float  # Cosine and sine of its eccentric angle t, times a common factor f
     s: mi.Float
-    growth: mi.Float  # f² dt/ds as a fraction, s the angle before the warp
-    growth_over: mi.Float
+    growth: mi.Float  # Numerator of f² dt/ds; here s is the angle before the warp
+    growth_over: mi.Float  # Its denominator
 
 
 def warp(record: Record, c: mi.Float, s: mi.Float) -> Warped:
     """Eccentric angle of the azimuth from the cosine and sine of the uniform angle.
 
-    Stretches the tangent by ρ, multiplies the tangent of the double angle by κ and stretches back.
+    The warp stretches the tangent by ρ, multiplies the tangent of the double angle by κ, and
+    stretches back.
     """
     c = record.rho * c
     c2, s2 = c * c, s * s
@@ -128,7 +130,7 @@ def direction(
     Parameters
     ----------
     c, s, density
-        Multiples of the cosine and sine of its azimuth's eccentric angle, and `rim` there.
+        Multiples of the cosine and sine of the eccentric angle of its azimuth, and `rim` for them.
     u
         Fraction of ``1 - cos θmax``, in [0, 1].
     """
@@ -148,14 +150,16 @@ def direction(
 class SolidAngle:
     """Directions almost uniform in solid angle over the whole light.
 
-    The azimuth runs with the eccentric angle of an ellipse whose semi-axes are the sines of the
-    half half-angles, corrected by one closed-form warp; along the radius ``1 - cos θ`` is uniform,
-    so the density depends on the azimuth alone. It is within ±0.03 % of uniform for half-angles up
-    to 45°, ±0.08 % up to 63° and ±1.8 % always. No elliptic integral, no inversion.
+    The density is within ±0.03 % of uniform for half-angles up to 45°, ±0.08 % up to 63° and ±1.8 %
+    always. The strategy needs no elliptic integral and no inversion.
+
+    The azimuth runs with the eccentric angle of an ellipse, corrected by one closed-form warp. The
+    semi-axes of this ellipse are the sines of half the half-angles. Along the radius ``1 - cos θ``
+    is uniform. So the density depends on the azimuth alone.
     """
 
     def prepare(self, view: View, normal: mi.Normal3f) -> Record:
-        """Cone and warp of a reference point; its normal is not used."""
+        """Compute cone and warp of a reference point. Its normal is not used."""
         return self.record(view.cone)
 
     def record(self, seen: Cone) -> Record:

@@ -1,4 +1,4 @@
-"""What a sampling strategy is, and the registry in which each one says its name."""
+"""The interface of a sampling strategy, and the registry of all strategies."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ Record = TypeVar("Record")
 class Strategy(Protocol[Record]):
     """How two random numbers become a direction towards a light.
 
-    Directions are given along the light's own frame, for an ellipse ``(ex, ey, normal)``. `sample`
-    and `pdf` take the density from one function, so that they cannot disagree.
+    Directions are in the light's own frame: ``(ex, ey, normal)`` for an ellipse. `sample` and `pdf`
+    take the density from one function, so they cannot disagree.
 
-    Dr.Jit merges no equal operations while it traces a strategy (`mi_ellipse.lamps.lamp`). So what
-    is used twice has a name, and so has a literal in the code that every path runs.
+    Give a name to each value that is used twice, and to each literal in code that every path runs.
+    The reason is that Dr.Jit merges no equal operations while it traces a strategy
+    (`mi_ellipse.lamps.lamp`).
     """
 
     def prepare(self, view: View, normal: mi.Normal3f) -> Record:
@@ -44,20 +45,20 @@ class Strategy(Protocol[Record]):
         pdf
             Density per solid angle.
         valid
-            False for a draw that carries its density and no light.
+            False for a draw that has a density and carries no light.
         """
 
     def pdf(self, record: Record, direction: mi.Vector3f) -> mi.Float:
         """Return exactly the density from which `sample` draws.
 
-        It does not test whether the direction meets the light, and in single precision it must not:
-        the ray decides what is hit.
+        It must not test whether the direction meets the light. In single precision such a test can
+        be wrong; the ray decides what is hit.
         """
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A strategy in the registry: what scenes, command line, figures and pages say of it."""
+    """A strategy in the registry, with what scenes, commands, figures and pages say of it."""
 
     name: str  # In scene files
     label: str  # In figures
@@ -72,7 +73,7 @@ DEFAULT = "solid_angle"
 
 
 def register(name: str, colour: str, mark: str, sentence: str, **options: Any) -> Callable:
-    """Enter a class under a name; `options` go to its constructor."""
+    """Enter a class under a name. Its constructor gets `options`."""
 
     def enter(cls: type) -> type:
         label = name.replace("_", " ")
@@ -88,7 +89,7 @@ def find(name: str) -> Entry:
     Raises
     ------
     ValueError
-        For an unknown name; the message lists the known ones.
+        For an unknown name. The message lists the known names.
     """
     if name not in STRATEGIES:
         known = ", ".join(STRATEGIES)

@@ -12,8 +12,8 @@ from ..geometry.cone import Cone
 from ..geometry.ellipse import View
 from .strategy import register
 
-# Least cosine of the cap's half-angle: single precision resolves no smaller one for a solid angle
-# near 2π. A slightly smaller cap changes what is drawn and the density alike.
+# Least cosine of the cap's half-angle. Single precision resolves no smaller one for a solid angle
+# near 2π. The cap becomes slightly smaller, for the draw and for the density alike.
 MINIMUM_COSINE = 1e-6
 
 
@@ -28,12 +28,12 @@ class Record(NamedTuple):
 def _density(record: Record, rho2: mi.Float, cos_theta: mi.Float) -> mi.Float:
     """Density per solid angle.
 
-    Uniform on the cap, times the change of solid angle under the scaling of the tangent plane:
-    ``(r²/(ta tb)) ((1 + x² + y²)/(1 + ρ²))^(3/2)``, ρ the radius before the scaling and
-    ``cos θ = (1 + x² + y²)^(-1/2)`` after it.
+    It is the uniform density on the cap times the change of solid angle under the scaling of the
+    tangent plane. This change is ``(r²/(ta tb)) ((1 + x² + y²)/(1 + ρ²))^(3/2)``. ρ is the radius
+    before the scaling, and ``cos θ = (1 + x² + y²)^(-1/2)`` holds after it.
     """
     stretch = dr.rcp(dr.abs(cos_theta) * dr.sqrt(1 + rho2))
-    # Every factor stays within the range of single precision in this order.
+    # In this order every factor stays within the range of single precision.
     scale = (record.radius / record.cone.ta * stretch) * (record.radius / record.cone.tb * stretch)
     return dr.inv_two_pi / record.height * scale * stretch
 
@@ -49,14 +49,16 @@ class TangentDisk:
     """Directions uniform on a cap of the light's solid angle, scaled to the tangent ellipse.
 
     Guillén, Ureña, King, Fajardo, Georgiev, López-Moreno and Jarabo, *Area-Preserving
-    Parameterizations for Spherical Ellipses* (EGSR 2017), quote it as the practice. Scaling the
-    tangent plane does not preserve solid angle, so the density is not ``1/Ω``, as was published:
-    with that, the irradiance of a light with half-angle tangents 2 and 0.5 comes out 7.5 % too
-    low. With the true density it is unbiased, and its weights are unbounded on needles.
+    Parameterizations for Spherical Ellipses* (EGSR 2017), quote this strategy as the practice.
+
+    The strategy has its true density here, so it is unbiased. Its weights are unbounded on needles.
+    The published density ``1/Ω`` is biased, because scaling the tangent plane does not preserve
+    solid angle. With it, the irradiance of a light with half-angle tangents 2 and 0.5 comes out
+    7.5 % too low.
     """
 
     def prepare(self, view: View, normal: mi.Normal3f) -> Record:
-        """Cap of a reference point; its normal is not used."""
+        """Compute the cap of a reference point. Its normal is not used."""
         seen = view.cone
         share = cone.solid_angle(seen) * dr.inv_two_pi  # Of the hemisphere
         cosine = dr.maximum(1 - share, MINIMUM_COSINE)
