@@ -18,9 +18,10 @@ from .tracing import cross
 # single-precision coordinates resolve.
 PLANE_FLOOR = 1e-12
 
-# Directions along the plane meet it at this distance, in units of the longer semi-axis. It is finite
-# and far beyond the range of the cone.
+# Directions along the plane meet it at this distance, in units of the longer semi-axis. It is far
+# beyond the range of the cone and finite.
 FARTHEST = 1e25
+
 
 class Hit(NamedTuple):
     """The point of a light that a direction meets."""
@@ -74,9 +75,9 @@ class PrincipalAxes:
     """The numbers of an elliptical light that follow from its transform, without its centre.
 
     The kernel loads these numbers for every path and call. So a number that follows from others is
-    no field. The kernel loads up to eight numbers of one size at once. The last three serve textures
-    alone; they are in double precision because the eight of single precision, with the centre and an
-    RGB radiance, are full.
+    no field. The kernel loads up to eight numbers of one size at once. The last three serve
+    textures alone. They are in double precision because the eight of single precision are full,
+    with the centre and an RGB radiance.
     """
 
     ex: mi.Vector3d  # Direction of the longer principal axis

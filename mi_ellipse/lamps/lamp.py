@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -14,8 +15,8 @@ from ..geometry.tracing import branch
 from ..sampling import find
 from .textured import Textured, follows_texture
 
-# Distances below this part of the coordinates are nothing but their rounding: a coordinate in single
-# precision is known to 2^-24, and a distance is a difference of six of them.
+# Distances below this part of the coordinates are nothing but their rounding. A coordinate in
+# single precision is known to 2^-24, and a distance comes from six of them.
 RESOLUTION = 2**-21
 
 
@@ -31,6 +32,7 @@ class Draw(NamedTuple):
     weight: mi.UnpolarizedSpectrum  # Radiance over density
 
 
+@dataclass
 class Lamp:
     """One lamp, independent of Mitsuba's emitter interface.
 
@@ -46,12 +48,16 @@ class Lamp:
         Emitted radiance.
     sampling
         Name of a strategy.
+    stored
+        The geometry; None until the lamp is placed. `dr.freeze` finds it because this is a
+        dataclass.
     """
 
-    def __init__(self, radiance: mi.Texture, sampling: str):
-        self.radiance = radiance
-        self.sampling = sampling
-        self.stored: StoredEllipse | None = None  # None until it is placed
+    radiance: mi.Texture
+    sampling: str
+    stored: StoredEllipse | None = None
+
+    def __post_init__(self) -> None:
         self.follow_radiance()
 
     def place(self, to_world: mi.AffineTransform4f) -> None:

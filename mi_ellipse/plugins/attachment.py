@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import drjit as dr
 import mitsuba as mi
@@ -18,8 +19,8 @@ class Attachment:
     """The tie of a lamp to a shape.
 
     The shape `ellipse` attaches its emitter when it is built. A plain `disk` cannot, so the emitter
-    asks for its shape when it is first used, and again when the shape changes. The lamp keeps values
-    and nothing that refers to the shape: a scene with such a reference would never be freed.
+    asks for its shape when it is first used, and again when the shape changes. The lamp keeps
+    values and nothing that refers to the shape: a scene with such a reference is never freed.
     """
 
     def __init__(self, lamp: Lamp):
@@ -72,15 +73,18 @@ def _misplaced(what: str) -> str:
 
 def _transform(shape: mi.Shape) -> mi.AffineTransform4f:
     """Transform of a shape, without a look at its BSDF, emitter and media."""
-    found = []
+    finder = _finder(mi.variant())()
+    shape.traverse(finder)
+    return mi.get_property(*finder.found, shape)
+
+
+@cache
+def _finder(variant: str) -> type:
+    """Class of a callback that finds `to_world`; each variant has another base for it."""
 
     class Finder(mi.TraversalCallback):
-        def put_value(self, name, value, flags, cpptype):
+        def put(self, name, value, flags, cpptype=None):
             if name == "to_world":
-                found.append(value if cpptype is None else mi.get_property(value, cpptype, shape))
+                self.found = value, cpptype
 
-        def put_object(self, name, value, flags):
-            pass
-
-    shape.traverse(Finder())
-    return found[0]
+    return Finder

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+
 import drjit as dr
 import mitsuba as mi
 
@@ -12,10 +14,11 @@ from .attachment import Attachment
 from .names import ELLIPTICAL_AREA
 
 
-def define(variant) -> type:
-    """Class of the plugin for a variant's module: `Emitter` is another base in each."""
+def define(variant: str) -> type:
+    """Class of the plugin for a variant: `Emitter` is another base in each."""
+    base = import_module(f"mitsuba.{variant}").Emitter
 
-    class EllipticalArea(variant.Emitter):
+    class EllipticalArea(base):
         """Uniform or textured emission of one side of an ellipse, sampled by direction.
 
         Goes into a shape `ellipse` or `disk`. Gradients reach the radiance and, through the shape,
@@ -132,7 +135,9 @@ def define(variant) -> type:
 
         def to_string(self) -> str:
             radiance = str(self.lamp.radiance).replace("\n", "\n  ")
-            return f"EllipticalArea[\n  sampling = {self.lamp.sampling},\n  radiance = {radiance}\n]"
+            return (
+                f"EllipticalArea[\n  sampling = {self.lamp.sampling},\n  radiance = {radiance}\n]"
+            )
 
     return EllipticalArea
 

@@ -1,4 +1,4 @@
-"""Names of plugins in scene files: those of this package, and those of Mitsuba that it takes over."""
+"""Names of plugins in scene files: those of this package, and those that it takes over."""
 
 ELLIPSE = "ellipse"
 ELLIPTICAL_AREA = "ellipticalarea"

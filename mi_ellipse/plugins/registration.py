@@ -29,5 +29,5 @@ def _on_variant_change(old: str | None, new: str | None) -> None:
         if variant in mi.variants():
             module = import_module(f"mitsuba.{variant}")
             module.register_shape(ELLIPSE, shape.create)
-            module.register_emitter(ELLIPTICAL_AREA, emitter.define(module))
+            module.register_emitter(ELLIPTICAL_AREA, emitter.define(variant))
             _registered.add(variant)

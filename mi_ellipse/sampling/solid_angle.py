@@ -131,7 +131,7 @@ def direction(
     "solid_angle",
     colour="#0072B2",
     mark="^",
-    sentence="Almost uniform in solid angle, in closed form; the variance is bounded near the lamp.",
+    sentence="Almost uniform in solid angle, in closed form: bounded variance near the lamp.",
 )
 class SolidAngle:
     """Directions almost uniform in solid angle over the whole light.
