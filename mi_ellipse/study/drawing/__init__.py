@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from ...files import atomic
 from ..results import EQUAL_SAMPLES, EQUAL_TIME, Comparison
-from .curves import curves
+from .curves import draw_curves
 from .grid import picture_grid
 from .insets import Inset, check_inside, choose_insets
 from .style import TEXT, style_of
@@ -55,7 +55,7 @@ def write_figures(comparison: Comparison, insets: Sequence[Inset] | None = None)
             figure = picture_grid(comparison, kind, spp, insets)
             _save(figure, file, file.with_suffix(".pdf"))
             grids[kind, spp] = file
-    for name, figure in curves(comparison).items():
+    for name, figure in draw_curves(comparison).items():
         file = folder / f"{name}.svg"
         _save(figure, file, file.with_suffix(".png"), file.with_suffix(".pdf"))
         lines[name] = file

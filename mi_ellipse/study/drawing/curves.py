@@ -20,7 +20,7 @@ from .style import COLUMN_WIDTH, TEXT, label_of, plain, style_of, thousands
 Places = NDArray[np.float64]
 
 
-def curves(comparison: Comparison) -> dict[str, Figure]:
+def draw_curves(comparison: Comparison) -> dict[str, Figure]:
     """Return the curves of time and error by name; none for a single number of samples."""
     if len(comparison.spp) == 1:
         return {}
