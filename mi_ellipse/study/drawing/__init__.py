@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -66,6 +67,6 @@ def _save(figure: Figure, *files: Path) -> None:
     for file in files:
         # Each SVG has its own salt: names of clip paths must differ within a page.
         style = TEXT | {"svg.hashsalt": file.stem}
-        about = {"metadata": {"Date": None}} if file.suffix == ".svg" else {}
+        about: dict[str, Any] = {"metadata": {"Date": None}} if file.suffix == ".svg" else {}
         with mpl.rc_context(style), atomic.replacement(file) as temporary:
             figure.savefig(temporary, dpi=300, **about)

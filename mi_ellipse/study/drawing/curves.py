@@ -127,7 +127,7 @@ def _plot(
     )
 
 
-def _label_lines(axes: Axes, labels: list[tuple[float, float, str, str]]) -> None:
+def _label_lines(axes: Axes, labels: Sequence[tuple[float, float, str, str]]) -> None:
     """
     Write each line's name beside its end, moved apart where names would overlap.
 
