@@ -76,7 +76,7 @@ def error_curve(comparison: Comparison, metric: str, against: str) -> Figure:
             x = [one.spp if against == "samples" else one.seconds for one in series]
             y = [one.errors[metric].mean for one in series]
             bars = [one.errors[metric].standard_error for one in series]
-            _plot(axes, sampling, x, y, np.nan_to_num(bars))
+            _plot(axes, sampling, x, y, np.nan_to_num(bars).tolist())
             labels.append((x[-1], y[-1], sampling, f"slope {_slope(x, y)}"))
         _mark_reference(axes, comparison.reference.errors.get(metric))
         _label_lines(axes, labels)
