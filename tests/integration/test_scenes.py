@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from conftest import floor_and, lamp
 from mi_ellipse.errors import innermost_cause
-from oracle import rotation, translation
+
+from oracles.ellipse import rotation, translation
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 
