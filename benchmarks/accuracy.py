@@ -22,7 +22,7 @@ import numpy as np
 
 mi.set_variant("llvm_ad_rgb")
 
-from mi_ellipse import ellipse as planar  # noqa: E402
+from mi_ellipse.geometry import ellipse as planar  # noqa: E402
 from mi_ellipse.sampling import STRATEGIES  # noqa: E402
 
 from oracles.lights import CLASSES, SEED, STRADDLING, STRADDLING_CLASSES, Lights, make_lights  # noqa: E402

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import mi_ellipse
 import mitsuba as mi
+from mi_ellipse.rendering.scene import load_scene
 from mi_ellipse.sampling import STRATEGIES
-from mi_ellipse.scene import load_scene
 
 SCENES = Path(__file__).parent.parent / "scenes"
 SEMI_AXES = (1.5, 0.4)

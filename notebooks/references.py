@@ -10,7 +10,7 @@ from pathlib import Path
 
 import mi_ellipse  # noqa: F401  # before Mitsuba: it chooses the LLVM
 import mitsuba as mi
-from mi_ellipse.render import replacement
+from mi_ellipse.files.atomic import replacement
 from mi_ellipse.study.reference import render_reference
 from rich.progress import Progress
 

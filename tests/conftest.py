@@ -4,7 +4,8 @@ import mi_ellipse  # noqa: F401
 import mitsuba as mi
 import numpy as np
 import pytest
-from mi_ellipse import ellipse
+from commands import LAMP, write_scene
+from mi_ellipse.geometry import ellipse
 
 # All variants of the wheel that can run without a GPU
 VARIANTS = (
@@ -43,6 +44,13 @@ SMALL_SCENE = f"""
 def llvm_ad_rgb():
     """The variant that most tests run in."""
     mi.set_variant("llvm_ad_rgb")
+
+
+@pytest.fixture
+def scene_file(tmp_path, monkeypatch):
+    """The scene of `commands`, in the current directory, which is a temporary one."""
+    monkeypatch.chdir(tmp_path)
+    return write_scene(tmp_path / "scene.xml", LAMP)
 
 
 @pytest.fixture(params=["scalar_rgb", "scalar_spectral", "llvm_ad_rgb", "llvm_ad_spectral"])

@@ -11,8 +11,10 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from conftest import SMALL_SCENE, SMALL_SIZE
-from mi_ellipse import cli, render
-from mi_ellipse.study import compare, figures, pictures
+from mi_ellipse import cli
+from mi_ellipse.rendering import passes, provenance
+from mi_ellipse.rendering.job import RenderJob, Timing
+from mi_ellipse.study import compare, figures
 from mi_ellipse.study.compare import match_samples
 from mi_ellipse.study.pictures import Gallery, Task
 from mi_ellipse.study.reference import render_reference
@@ -66,7 +68,7 @@ def read(file):
 def count_renders(monkeypatch):
     """The (spp, seed) of every render from now on; `stop_after` ones, the next is interrupted."""
     calls = SimpleNamespace(made=[], stop_after=None)
-    original = render.render
+    original = passes.render
 
     def counting(scene, spp=None, seed=0, *arguments):
         if calls.stop_after is not None and len(calls.made) >= calls.stop_after:
@@ -74,7 +76,7 @@ def count_renders(monkeypatch):
         calls.made.append((spp, seed))
         return original(scene, spp, seed, *arguments)
 
-    monkeypatch.setattr(render, "render", counting)
+    monkeypatch.setattr(passes, "render", counting)
     return calls
 
 
@@ -204,7 +206,7 @@ def test_other_settings_do_not_fit(finished, tmp_path, monkeypatch, change):
     elif change == "variant":
         mi.set_variant("llvm_ad_spectral")
     else:
-        monkeypatch.setattr(pictures, "_code_digest", lambda: "other")
+        monkeypatch.setattr(provenance, "picture_digest", lambda: "other")
     gallery = Gallery(finished.folder / "pictures", scene_file, parameters)
     assert gallery.holds(Task(1, "area", 8))
     assert gallery.find(Task(1, "area", 8)) is None
@@ -309,21 +311,17 @@ def test_match_samples_from_a_single_count():
 
 def test_equal_time_takes_the_samples_that_match(scene_file, tmp_path, monkeypatch):
     """A strategy that takes twice as long gets half the samples."""
-    original = pictures.render_timed
+    original = RenderJob.run
 
-    def timed(loaded, spp, seed):
-        rendering, _ = original(loaded, spp, seed)
-        seconds = 0.01 * spp * (2 if timed.sampling == "solid_angle" else 1)
-        return rendering, pictures.Timing(seconds, 0.0, 0.0, seconds)
+    def run_timed(job):
+        seconds = 0.01 * job.spp * (2 if job.sampling == "solid_angle" else 1)
+        timing = Timing(seconds, 0.0, 0.0, seconds)
+        return dataclasses.replace(original(job), timing=timing)
 
-    load = pictures.scene.load_scene
+    def timed_or_reference(job):
+        return run_timed(job) if job.sampling else original(job)
 
-    def remember(scene_file, parameters, sampling=None):
-        timed.sampling = sampling
-        return load(scene_file, parameters, sampling)
-
-    monkeypatch.setattr(pictures, "render_timed", timed)
-    monkeypatch.setattr(pictures.scene, "load_scene", remember)
+    monkeypatch.setattr(RenderJob, "run", timed_or_reference)
     comparison = run(scene_file, tmp_path / "out")
     for spp in SPP:
         first = comparison.find(EQUAL_TIME, "area", spp)
@@ -339,7 +337,7 @@ def test_equal_time_takes_the_samples_that_match(scene_file, tmp_path, monkeypat
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_invalid_pixels_are_refused(scene_file, tmp_path, monkeypatch, value):
-    original = render.render
+    original = passes.render
 
     def broken(*arguments):
         rendering = original(*arguments)
@@ -347,7 +345,7 @@ def test_invalid_pixels_are_refused(scene_file, tmp_path, monkeypatch, value):
         image[3, 5, 1] = value
         return dataclasses.replace(rendering, image=image)
 
-    monkeypatch.setattr(render, "render", broken)
+    monkeypatch.setattr(passes, "render", broken)
     message = "area at 2 spp, seed 1: 1 pixel.* NaN or infinite, the first at x=5, y=3"
     with pytest.raises(ValueError, match=message):
         run(scene_file, tmp_path / "out")

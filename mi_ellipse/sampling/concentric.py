@@ -8,9 +8,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import cone
-from ..ellipse import Ellipse
+from ..geometry import cone
+from ..geometry.ellipse import View
 from . import solid_angle
+from .strategy import register
 
 # Steps of Newton's method after the shifted κ map, and nodes of the Gauss-Legendre rule that
 # integrates the azimuthal density: the eccentric angle is exact to 4e-11 in double precision.
@@ -24,10 +25,6 @@ class Record(NamedTuple):
     map: solid_angle.Record
     quadrant: mi.Float  # `_cumulative` of the whole quadrant
     pdf: mi.Float  # One over the solid angle
-
-    @property
-    def centre(self) -> mi.Vector3f:
-        return self.map.centre
 
 
 def _cumulative(record: solid_angle.Record, t: mi.Float) -> mi.Float:
@@ -73,6 +70,12 @@ def radial_map(record: Record, c: mi.Float, s: mi.Float, radius2: mi.Float) -> m
     return solid_angle.direction(seen, dr.mulsign(tc, c), dr.mulsign(ts, s), density, radius2)
 
 
+@register(
+    "concentric",
+    colour="#56B4E9",
+    mark="p",
+    sentence="Uniform in solid angle by numerical inversion (Guillén et al. 2017), for comparison.",
+)
 class Concentric:
     """Directions uniform in solid angle: the concentric square-disk map, then the radial map.
 
@@ -80,9 +83,9 @@ class Concentric:
     Parameterizations for Spherical Ellipses* (EGSR 2017).
     """
 
-    def prepare(self, ellipse: Ellipse, reference: mi.Point3f, normal: mi.Normal3f) -> Record:
+    def prepare(self, view: View, normal: mi.Normal3f) -> Record:
         """Cone and solid angle of a reference point; its normal is not used."""
-        seen = solid_angle.SolidAngle().prepare(ellipse, reference, normal)
+        seen = solid_angle.SolidAngle().prepare(view, normal)
         return Record(
             map=seen,
             quadrant=_cumulative(seen, mi.Float(0.5 * dr.pi)),
@@ -90,7 +93,7 @@ class Concentric:
         )
 
     def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
-        """Direction along the light's ``(ex, ey, normal)``, its density, and validity."""
+        """Direction along the light's frame, its density, and validity."""
         p = mi.warp.square_to_uniform_disk_concentric(u)
         d = radial_map(record, p.x, p.y, dr.squared_norm(p))
         return record.map.cone.from_local(d), record.pdf, mi.Mask(True)

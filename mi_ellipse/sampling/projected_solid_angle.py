@@ -8,10 +8,11 @@ from typing import NamedTuple
 import drjit as dr
 import mitsuba as mi
 
-from .. import cone
-from ..cone import Cone
-from ..ellipse import Ellipse
+from ..geometry.cone import Cone
+from ..geometry.ellipse import View
+from ..geometry.tracing import TINY, branch
 from .solid_angle import SolidAngle
+from .strategy import register
 
 # Squared scale of the tangent of the latitude: the primitive of (1 + c² T²)^(-3/2) is elementary,
 # and c² = 4/3 matches the wanted weight cos² λ to second order. Over slices from pole to pole the
@@ -45,10 +46,6 @@ class Record(NamedTuple):
 
     cone: Cone
     n: mi.Vector3f  # Surface normal in the frame of the cone; zero in media
-
-    @property
-    def centre(self) -> mi.Vector3f:
-        return self.cone.centre
 
 
 class Slices(NamedTuple):
@@ -145,7 +142,7 @@ def _slice(cut: Slices, eta: mi.Float) -> Slice:
     a, b = mid - half, mid + half
     one = mi.Float(1)
     ra, rb = dr.sqrt(dr.fma(a, a, one)), dr.sqrt(dr.fma(b, b, one))
-    total = dr.maximum(dr.fma(dr.abs(b), ra, dr.abs(a) * rb), cone.TINY)
+    total = dr.maximum(dr.fma(dr.abs(b), ra, dr.abs(a) * rb), TINY)
     inv = dr.rcp(total * ra * rb)
     over_roots = total * inv  # 1 / (ra rb)
     same_side = a * b > 0
@@ -238,7 +235,7 @@ def _side_density(cut: Slices, side: Side, tau: mi.Float) -> mi.Float:
     y = dr.select(divided, 2 * u - 1, dr.mulsign(u, x))  # -1, 0 and 1 where the factors are
     outer = dr.select(y < 0, side.s0, side.s2)
     factor = dr.fma(dr.abs(y), outer - side.s1, side.s1) * dr.select(divided, 1, 0.5)
-    return density * factor * dr.abs(inv) / dr.maximum(side.total, cone.TINY)
+    return density * factor * dr.abs(inv) / dr.maximum(side.total, TINY)
 
 
 def _draw_on_side(cut: Slices, side: Side, u: mi.Float) -> mi.Float:
@@ -323,7 +320,7 @@ def _slices(seen: Cone, n: mi.Vector3f, one_sided: bool) -> Slices:
         share = dr.select(flipped, 1.0, 0.0)
     else:
         # Distance of the horizon from the axis of the cone, 1 being the rim
-        share = _minor_share(nz * inv_tan / dr.maximum(nm, cone.TINY))
+        share = _minor_share(nz * inv_tan / dr.maximum(nm, TINY))
 
     return Slices(
         m=m,
@@ -343,6 +340,21 @@ def _slices(seen: Cone, n: mi.Vector3f, one_sided: bool) -> Slices:
     )
 
 
+@register(
+    "projected_solid_angle",
+    colour="#D55E00",
+    mark="v",
+    sentence="Almost proportional to the cosine at the surface, for lamps that are near or cut by"
+    " the horizon.",
+)
+@register(
+    "projected_solid_angle_one_sided",
+    colour="#8C510A",
+    mark="<",
+    sentence="The same for flat, opaque surfaces seen from the front; biased for surfaces that are"
+    " seen from behind.",
+    one_sided=True,
+)
 class ProjectedSolidAngle:
     """Directions almost proportional to the cosine at the surface, over the whole light.
 
@@ -368,13 +380,12 @@ class ProjectedSolidAngle:
         self.one_sided = one_sided
         self.uniform = SolidAngle()
 
-    def prepare(self, ellipse: Ellipse, reference: mi.Point3f, normal: mi.Normal3f) -> Record:
+    def prepare(self, view: View, normal: mi.Normal3f) -> Record:
         """Cone of a reference point, and its normal."""
-        seen = cone.from_point(ellipse, reference)
-        return Record(seen, seen.to_local(ellipse.to_light(normal)))
+        return Record(view.cone, view.cone.to_local(view.light.to_light(normal)))
 
     def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
-        """Direction along the light's ``(ex, ey, normal)``, its density, and validity."""
+        """Direction along the light's frame, its density, and validity."""
         d, pdf = self._branch(record, u, self._sample_slices, self._sample_whole)
         return record.cone.from_local(d), pdf, mi.Mask(True)
 
@@ -384,14 +395,13 @@ class ProjectedSolidAngle:
         return self._branch(record, d, self._pdf_slices, self._pdf_whole)
 
     def _branch(self, record: Record, argument, sliced, whole):
-        """A branch of the kernel; packets of neighbouring paths mostly agree on it."""
+        """Take the slices where the cosine varies; packets of neighbouring paths mostly agree."""
         seen, n = record.cone, record.n
         nx2, ny2, nz2 = n.x * n.x, n.y * n.y, n.z * n.z
         # Across the cone, and by its own width where the normal is along the axis
         across2, width2 = dr.fma(nx2, seen.ta2, ny2 * seen.tb2), nz2 * seen.ta2 * seen.ta2
-        # Dr.Jit takes the size of the branch from its condition: the second part always holds.
-        varies = (dr.fma(0.25, width2, across2) > LEAST_CHANGE**2 * nz2) & (argument.x < 2)
-        return dr.if_stmt((argument,), varies, partial(sliced, record), partial(whole, record))
+        varies = dr.fma(0.25, width2, across2) > LEAST_CHANGE**2 * nz2
+        return branch(argument, varies, partial(sliced, record), partial(whole, record))
 
     def _sample_slices(self, record, u):
         """Direction in the frame of the cone and its density."""
@@ -399,7 +409,7 @@ class ProjectedSolidAngle:
         share = cut.minor_share
         minor = u.x < share
         # A side with no share has no draws, but a width to divide by.
-        width = dr.maximum(dr.select(minor, share, 1 - share), cone.TINY)
+        width = dr.maximum(dr.select(minor, share, 1 - share), TINY)
         u_side = dr.select(minor, u.x, u.x - share) / width
         side = _side(cut, minor)
         tau = _draw_on_side(cut, side, dr.clip(u_side, 0, 1))
@@ -407,7 +417,7 @@ class ProjectedSolidAngle:
 
         strip = _slice(cut, eta)
         s = dr.fma(strip.length, u.y, strip.start)
-        tangent = s * cut.inv_scale * dr.rsqrt(dr.maximum(dr.fma(-s, s, 1), cone.TINY))
+        tangent = s * cut.inv_scale * dr.rsqrt(dr.maximum(dr.fma(-s, s, 1), TINY))
         cos_latitude = dr.rsqrt(1 + dr.square(tangent))
         dm = 2 * eta * strip.cos2_half * cos_latitude
         de = tangent * cos_latitude

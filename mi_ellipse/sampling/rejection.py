@@ -7,7 +7,8 @@ from typing import NamedTuple
 import drjit as dr
 import mitsuba as mi
 
-from ..ellipse import Ellipse
+from ..geometry.ellipse import View
+from .strategy import register
 
 
 class Record(NamedTuple):
@@ -46,6 +47,13 @@ def _angle(s, t0, t1, h):
     return dr.atan2(s * h * difference, h * h * r0 * r1 + s * s * t0 * t1)
 
 
+@register(
+    "rejection",
+    colour="#CC79A7",
+    mark="s",
+    sentence="Uniform in the solid angle of the bounding rectangle; draws beside the ellipse are"
+    " dark (Gamito 2016), for comparison.",
+)
 class Rejection:
     """One try in the solid angle of the bounding rectangle; a draw beside the ellipse is dark.
 
@@ -56,10 +64,10 @@ class Rejection:
     distant rectangles, where the published one cancels.
     """
 
-    def prepare(self, ellipse: Ellipse, reference: mi.Point3f, normal: mi.Normal3f) -> Record:
+    def prepare(self, view: View, normal: mi.Normal3f) -> Record:
         """Rectangle seen from a reference point; its normal is not used."""
-        centre = ellipse.light_coordinates(reference)
-        ratio, height = ellipse.ratio, dr.abs(centre.z)
+        centre, ratio = view.position, view.light.ratio
+        height = dr.abs(centre.z)
 
         # The edges should not straddle the reference while the slices do not, and lie further away:
         # elsewhere the angles of the slices differ by less than their own rounding.
@@ -83,7 +91,7 @@ class Rejection:
         )
 
     def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
-        """Direction along the light's ``(ex, ey, normal)``, its density, and validity."""
+        """Direction along the light's frame, its density, and validity."""
         t0, t1, h = record.edge0, record.edge1, record.height
         u0, u1 = mi.Float64(u.x), mi.Float64(u.y)
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import drjit as dr
 import mitsuba as mi
 
-from .. import cone
-from ..cone import Cone
-from ..ellipse import Ellipse
+from ..geometry.cone import Cone
+from ..geometry.ellipse import View
+from .strategy import register
 
 
 class Record(NamedTuple):
@@ -23,10 +23,6 @@ class Record(NamedTuple):
     kb: mi.Float  # (sin(β/2) / tb)²
     inv_kappa: mi.Float  # Strength of the angular warp, 1 for circles
     rho: mi.Float  # Where along the quadrant the warp acts
-
-    @property
-    def centre(self) -> mi.Vector3f:
-        return self.cone.centre
 
 
 def _azimuth(u: mi.Float) -> tuple[mi.Float, mi.Float]:
@@ -131,6 +127,12 @@ def direction(
     return mi.Vector3f(c * r, record.ratio * s * r, dr.fma(-drop, inv, 1))
 
 
+@register(
+    "solid_angle",
+    colour="#0072B2",
+    mark="^",
+    sentence="Almost uniform in solid angle, in closed form: bounded variance near the lamp.",
+)
 class SolidAngle:
     """Directions almost uniform in solid angle over the whole light.
 
@@ -140,9 +142,9 @@ class SolidAngle:
     to 45°, ±0.08 % up to 63° and ±1.8 % always. No elliptic integral, no inversion.
     """
 
-    def prepare(self, ellipse: Ellipse, reference: mi.Point3f, normal: mi.Normal3f) -> Record:
+    def prepare(self, view: View, normal: mi.Normal3f) -> Record:
         """Cone and warp of a reference point; its normal is not used."""
-        return self.record(cone.from_point(ellipse, reference))
+        return self.record(view.cone)
 
     def record(self, seen: Cone) -> Record:
         """Warp of a cone."""
@@ -166,7 +168,7 @@ class SolidAngle:
         )
 
     def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
-        """Direction along the light's ``(ex, ey, normal)``, its density, and validity."""
+        """Direction along the light's frame, its density, and validity."""
         d, pdf = self.sample_local(record, u)
         return record.cone.from_local(d), pdf, mi.Mask(True)
 

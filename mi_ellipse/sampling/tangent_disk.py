@@ -7,9 +7,10 @@ from typing import NamedTuple
 import drjit as dr
 import mitsuba as mi
 
-from .. import cone
-from ..cone import Cone
-from ..ellipse import Ellipse
+from ..geometry import cone
+from ..geometry.cone import Cone
+from ..geometry.ellipse import View
+from .strategy import register
 
 # Least cosine of the cap's half-angle: single precision resolves no smaller one for a solid angle
 # near 2π. A slightly smaller cap changes what is drawn and the density alike.
@@ -22,10 +23,6 @@ class Record(NamedTuple):
     cone: Cone
     height: mi.Float  # 1 - cos of the half-angle of the cap
     radius: mi.Float  # Tangent of that half-angle
-
-    @property
-    def centre(self) -> mi.Vector3f:
-        return self.cone.centre
 
 
 def _density(record: Record, rho2: mi.Float, cos_theta: mi.Float) -> mi.Float:
@@ -41,6 +38,13 @@ def _density(record: Record, rho2: mi.Float, cos_theta: mi.Float) -> mi.Float:
     return dr.inv_two_pi / record.height * scale * stretch
 
 
+@register(
+    "tangent_disk",
+    colour="#009E73",
+    mark="D",
+    sentence="A cap of the light's solid angle, scaled to the tangent ellipse, with its true"
+    " density, for comparison.",
+)
 class TangentDisk:
     """Directions uniform on a cap of the light's solid angle, scaled to the tangent ellipse.
 
@@ -51,16 +55,16 @@ class TangentDisk:
     low. With the true density it is unbiased, and its weights are unbounded on needles.
     """
 
-    def prepare(self, ellipse: Ellipse, reference: mi.Point3f, normal: mi.Normal3f) -> Record:
+    def prepare(self, view: View, normal: mi.Normal3f) -> Record:
         """Cap of a reference point; its normal is not used."""
-        seen = cone.from_point(ellipse, reference)
+        seen = view.cone
         share = cone.solid_angle(seen) * dr.inv_two_pi  # Of the hemisphere
         cosine = dr.maximum(1 - share, MINIMUM_COSINE)
         height = dr.minimum(share, 1 - MINIMUM_COSINE)
         return Record(seen, height, dr.sqrt(height * (2 - height)) / cosine)
 
     def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
-        """Direction along the light's ``(ex, ey, normal)``, its density, and validity."""
+        """Direction along the light's frame, its density, and validity."""
         h = record.height * u.y
         rho = dr.sqrt(h * (2 - h)) / (1 - h)
         s, c = dr.sincos(dr.two_pi * u.x)

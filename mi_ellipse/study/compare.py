@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import render
+from ..files import atomic, images
+from ..rendering.provenance import machine
 from ..sampling import STRATEGIES
 from .metrics import METRICS, errors, estimate, flip
-from .pictures import Gallery, Picture, Task, describe_machine, read_exr, settings
+from .pictures import Gallery, Picture, Task, read_exr, settings
 from .reference import Reference, render_reference
 from .results import EQUAL_SAMPLES, EQUAL_TIME, Comparison, Measurement, write_tables
 
@@ -108,7 +109,7 @@ def compare(
         spp,
         seeds,
         settings(scene_file, parameters),
-        describe_machine(),
+        machine(),
         reference,
         tuple(measurements),
     )
@@ -210,7 +211,7 @@ def _write_pngs(comparison: Comparison) -> None:
     exposure = comparison.exposure
     for measurement in comparison.measurements:
         file = measurement.pictures[0].file
-        render.write_png(file.with_suffix(".png"), comparison.image(measurement), exposure)
+        images.write_png(file.with_suffix(".png"), comparison.image(measurement), exposure)
 
 
 # ---- Measurements ----
@@ -241,7 +242,7 @@ def _measure(
             done += 1
             progress("metrics", done, total)
         result[key] = {metric: tuple(one[metric] for one in measured) for metric in METRICS}
-        with render.replacement(known_file) as temporary:
+        with atomic.replacement(known_file) as temporary:
             temporary.write_text(json.dumps(known))
     return result
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogLocator, NullFormatter, NullLocator
 
-from .. import render
+from ..files import atomic
 from .metrics import LABELS, fit_slope
 from .results import EQUAL_SAMPLES, EQUAL_TIME, Comparison
 
@@ -82,7 +82,7 @@ def write_figures(comparison: Comparison, insets: Sequence[Inset] | None = None)
     for name, figure in figures.items():
         for suffix in (".pdf", ".png"):
             file = folder / f"{name}{suffix}"
-            with mpl.rc_context(TEXT), render.replacement(file) as temporary:
+            with mpl.rc_context(TEXT), atomic.replacement(file) as temporary:
                 figure.savefig(temporary, dpi=300)
             files.append(file)
     return files

@@ -2,32 +2,18 @@
 
 from __future__ import annotations
 
-import gc
-import hashlib
 import json
-import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import groupby
 from pathlib import Path
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import __version__, render, scene
-
-PACKAGE = Path(__file__).resolve().parent.parent
-
-
-@dataclass(frozen=True)
-class Timing:
-    """Seconds of one render, `total` = `tracing` + `compilation` + `execution`."""
-
-    total: float
-    tracing: float  # Python, and Dr.Jit writing the kernel
-    compilation: float  # by LLVM or CUDA; zero where the kernel was known
-    execution: float  # of the kernels
+from ..files import images
+from ..rendering import provenance
+from ..rendering.executor import LocalExecutor
+from ..rendering.job import Rendering, RenderJob, Timing
 
 
 @dataclass(frozen=True, order=True)
@@ -68,14 +54,17 @@ class Gallery:
         self.scene_file = scene_file
         self.parameters = dict(parameters)
         self._settings = settings(scene_file, parameters)
-        self._settings |= {"code_sha256": _code_digest(), "machine": describe_machine()}
+        self._settings |= {
+            "picture_digest": provenance.picture_digest(),
+            "machine": provenance.machine(),
+        }
 
     def find(self, task: Task) -> Picture | None:
         """Return the picture if it is there and fits."""
         file = self._file(task)
         if not file.exists():
             return None
-        found = mi.Bitmap(str(file)).metadata()
+        found = images.read_metadata(file)
         wanted = self._settings | _settings_of(task)
         if any(name not in found or found[name] != value for name, value in wanted.items()):
             return None
@@ -94,24 +83,29 @@ class Gallery:
         is loaded at a time, since every living lamp is part of every render.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
-        for (_, sampling), group in groupby(sorted(tasks), lambda task: (task.seed, task.sampling)):
-            group = list(group)
-            loaded = scene.load_scene(self.scene_file, self.parameters, sampling)
-            # Compiles the kernel, which is the same for every number of samples.
-            _, warm_up = render_timed(loaded, group[0].spp, group[0].seed)
-            for task in group:
-                rendering, timing = render_timed(loaded, task.spp, task.seed)
+        tasks = sorted(tasks)
+        with LocalExecutor() as executor:
+            for task, rendering in zip(
+                tasks, executor.map(RenderJob.run, map(self._job, tasks)), strict=True
+            ):
                 image = colour(rendering, f"{task.sampling} at {task.spp} spp, seed {task.seed}")
-                description = render.describe(
-                    self.scene_file, rendering, task.seed, sampling, self.parameters
-                )
-                times = {"timing": timing, "warm_up": warm_up}
+                times = {"timing": rendering.timing, "warm_up": rendering.warm_up}
                 times = {name: json.dumps(asdict(time)) for name, time in times.items()}
+                description = provenance.describe(self._job(task), rendering)
                 description |= self._settings | _settings_of(task) | times
-                render.write_exr(self._file(task), image, description)
+                images.write_exr(self._file(task), image, description)
                 progress(task)
-            del loaded
-            gc.collect()
+
+    def _job(self, task: Task) -> RenderJob:
+        return RenderJob(
+            self.scene_file,
+            self.parameters,
+            mi.variant(),
+            task.sampling,
+            task.spp,
+            task.seed,
+            warm_up=True,
+        )
 
     def _file(self, task: Task) -> Path:
         return self.folder / f"{task.name}.exr"
@@ -120,42 +114,13 @@ class Gallery:
 def settings(scene_file: Path, parameters: Mapping[str, str]) -> dict[str, str]:
     """Return what two pictures of a scene must have in common to be compared."""
     return {
-        "scene_digest": scene.digest(scene_file, parameters),
+        "scene_digest": provenance.scene_digest(scene_file, parameters),
         "variant": mi.variant(),
-        "mi_ellipse_version": __version__,
-        "mitsuba_version": mi.__version__,
-        "drjit_version": dr.__version__,
+        **provenance.versions(),
     }
 
 
-def describe_machine() -> str:
-    """Return the processor's name, as far as the system tells it, and the threads in use."""
-    name = platform.processor() or platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        models = [
-            line for line in cpuinfo.read_text().splitlines() if line.startswith("model name")
-        ]
-        name = models[0].partition(":")[2].strip() if models else name
-    return f"{name}, {dr.thread_count()} threads"
-
-
-def render_timed(loaded: mi.Scene, spp: int, seed: int) -> tuple[render.Rendering, Timing]:
-    """Render as :func:`mi_ellipse.render.render` does, and tell where the time went."""
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
-        dr.kernel_history_clear()
-        rendering = render.render(loaded, spp, seed)
-        history = dr.kernel_history()
-
-    if not history:  # scalar variants have no kernels
-        return rendering, Timing(rendering.seconds, 0.0, 0.0, rendering.seconds)
-    execution = sum(kernel["execution_time"] for kernel in history) / 1000
-    compilation = sum(kernel.get("backend_time", 0.0) for kernel in history) / 1000
-    tracing = rendering.seconds - execution - compilation
-    return rendering, Timing(rendering.seconds, tracing, compilation, execution)
-
-
-def colour(rendering: render.Rendering, what: str) -> np.ndarray:
+def colour(rendering: Rendering, what: str) -> np.ndarray:
     """
     Return the RGB picture of a rendering, luminance repeated.
 
@@ -184,15 +149,8 @@ def colour(rendering: render.Rendering, what: str) -> np.ndarray:
 
 def read_exr(file: Path) -> np.ndarray:
     """Return a picture as an array of shape (height, width, channels)."""
-    return np.array(mi.Bitmap(str(file)))
+    return images.read_exr(file)
 
 
 def _settings_of(task: Task) -> dict[str, str]:
     return {"sampling": task.sampling, "asked_spp": str(task.spp), "seed": str(task.seed)}
-
-
-def _code_digest() -> str:
-    """Return a SHA-256 of the package's modules, without this study and the command line."""
-    files = [*PACKAGE.glob("*.py"), *PACKAGE.glob("sampling/*.py")]
-    files = sorted(file for file in files if file.name != "cli.py")
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import mitsuba as mi
 import numpy as np
 
-from .. import render, scene
+from ..files import atomic, images
+from ..rendering.executor import LocalExecutor
+from ..rendering.job import RenderJob
 from .metrics import flip, reference_errors
 from .pictures import colour, read_exr, settings
 
@@ -64,7 +67,7 @@ class _Half:
         return half
 
     def save(self) -> None:
-        with render.replacement(self.file) as temporary:
+        with atomic.replacement(self.file) as temporary:
             np.savez(
                 temporary,
                 settings=self.settings,
@@ -134,22 +137,23 @@ def _add_passes(
     progress: Callable[[int, int], None],
 ) -> None:
     """Render passes, the halves in turn, until each has `target` samples per pixel."""
-    loaded = scene.load_scene(scene_file, parameters)
-    width, height = loaded.sensors()[0].film().crop_size()
-    size = max(1, samples_per_pass // (int(width) * int(height)))
-
+    job = RenderJob(scene_file, parameters, mi.variant())
     progress(sum(half.spp for half in halves), 2 * target)
-    while any(half.spp < target for half in halves):
-        index, half = min(enumerate(halves), key=lambda pair: pair[1].spp)
-        # The same words come first however many are generated: a seed belongs to its pass.
-        seeds = np.random.SeedSequence([SEED, index]).generate_state(half.passes + 1)
-        rendering = render.render(loaded, min(size, target - half.spp), int(seeds[-1]))
-        image = colour(rendering, f"pass {half.passes} of the reference's half {index + 1}")
-        half.total = half.total + rendering.spp * image.astype(np.float64)
-        half.spp += rendering.spp
-        half.passes += 1
-        half.save()
-        progress(sum(half.spp for half in halves), 2 * target)
+    with LocalExecutor() as executor:
+        width, height = executor.submit(job.plan).result().film_size
+        size = max(1, samples_per_pass // (width * height))
+        while any(half.spp < target for half in halves):
+            index, half = min(enumerate(halves), key=lambda pair: pair[1].spp)
+            # The same words come first however many are generated: a seed belongs to its pass.
+            seeds = np.random.SeedSequence([SEED, index]).generate_state(half.passes + 1)
+            a_pass = replace(job, spp=min(size, target - half.spp), seed=int(seeds[-1]))
+            rendering = executor.submit(a_pass.run).result()
+            image = colour(rendering, f"pass {half.passes} of the reference's half {index + 1}")
+            half.total = half.total + rendering.spp * image.astype(np.float64)
+            half.spp += rendering.spp
+            half.passes += 1
+            half.save()
+            progress(sum(half.spp for half in halves), 2 * target)
 
 
 def _write(
@@ -174,8 +178,8 @@ def _write(
         }
         for i, half in enumerate(halves, start=1):
             settings_of_half = {"spp": str(half.spp), "seed": f"{SEED}, half {i}"}
-            render.write_exr(folder / f"half_{i}.exr", half.image, description | settings_of_half)
-        render.write_exr(file, image, description | {"spp": str(spp), "seed": str(SEED)})
-        render.write_png(file.with_suffix(".png"), image, render.choose_exposure(image))
+            images.write_exr(folder / f"half_{i}.exr", half.image, description | settings_of_half)
+        images.write_exr(file, image, description | {"spp": str(spp), "seed": str(SEED)})
+        images.write_png(file.with_suffix(".png"), image, images.choose_exposure(image))
     first, second = (half.image for half in halves)
     return Reference(file, spp, reference_errors(first, second), flip(first, second))

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from simpleimageio import flip
 
-from .. import render
+from ..files import atomic
 from .figures import TEXT, Inset, choose_insets, curves, picture_grid, style_of
 from .metrics import LABELS, METRICS, RELATIVE_EPSILON, TRIMMED_FRACTION, Estimate
 from .results import EQUAL_SAMPLES, EQUAL_TIME, Comparison, Measurement
@@ -85,7 +85,7 @@ def write_report(comparison: Comparison, insets: Sequence[Inset] | None = None) 
         + "\n</body></html>\n"
     )
     file = comparison.folder / "report.html"
-    with render.replacement(file) as temporary:
+    with atomic.replacement(file) as temporary:
         temporary.write_text(html, encoding="utf-8")
     return file
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import render
+from ..files import atomic, images
 from .metrics import LABELS, METRICS, SQUARED, Estimate
 from .pictures import Picture, read_exr
 from .reference import Reference
@@ -70,7 +70,7 @@ class Comparison:
     @property
     def exposure(self) -> float:
         """Stops that all pictures are shown with, so that they can be compared."""
-        return render.choose_exposure(self.reference_image())
+        return images.choose_exposure(self.reference_image())
 
     def reference_image(self) -> np.ndarray:
         return read_exr(self.reference.file)
@@ -125,7 +125,7 @@ def write_tables(comparison: Comparison) -> tuple[Path, Path]:
     files = comparison.folder / "results.csv", comparison.folder / "results.json"
     texts = table.getvalue(), json.dumps(document, indent=1) + "\n"
     for file, text in zip(files, texts, strict=True):
-        with render.replacement(file) as temporary:
+        with atomic.replacement(file) as temporary:
             temporary.write_text(text)
     return files
 

@@ -5,7 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from conftest import ellipses, lamp
-from mi_ellipse import ellipse
+from mi_ellipse.geometry import ellipse
 from mi_ellipse.sampling import STRATEGIES
 
 import oracles.ellipse as oracle
@@ -87,7 +87,7 @@ def test_normal_and_uv_are_those_of_the_disk(matrix, flip):
     shape_dict = lamp(matrix, "area", flip_normals=flip)
     disk = mi.load_dict({"type": "disk"} | {k: shape_dict[k] for k in ("to_world", "flip_normals")})
     matrix = np.float32(matrix).astype(float)  # What the disk keeps
-    light = mi.load_dict({"type": "scene", "lamp": shape_dict}).emitters()[0].ellipse
+    light = mi.load_dict({"type": "scene", "lamp": shape_dict}).emitters()[0].lamp.stored.light()
     lx, ly = light.lx[0], light.ly[0]
 
     rng = np.random.default_rng(1)
@@ -173,8 +173,8 @@ def test_drawn_points_lie_on_the_light_at_the_extremes(name):
     light = ellipses(data["U"][pick], data["W"][pick], data["centre"][pick])
     u = np.random.default_rng(4).random((2, count * per_light), dtype=np.float32)
     reference = mi.Point3f(data["reference"][pick].T)
-    strategy = STRATEGIES[name]()
-    record = strategy.prepare(light, reference, mi.Normal3f(0, 0, 1))
+    strategy = STRATEGIES[name].make()
+    record = strategy.prepare(light.seen_from(reference), mi.Normal3f(0, 0, 1))
     d, _, valid = strategy.sample(record, mi.Point2f(u))
     centre = light.light_coordinates(reference)
     a, b, distance = light.point_from_direction(mi.Vector3f(centre), d)

@@ -15,8 +15,8 @@ import pytest
 from conftest import floor_and
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from mi_ellipse.errors import innermost_cause
 from mi_ellipse.sampling import STRATEGIES
+from mi_ellipse.system.messages import innermost_cause
 
 EXAMPLES = 150
 

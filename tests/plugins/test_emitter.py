@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from conftest import floor_and, lamp
-from mi_ellipse import ellipse
+from mi_ellipse.geometry import ellipse
 from mi_ellipse.sampling import STRATEGIES
 from scipy import stats
 
@@ -44,11 +44,11 @@ import collections
 import mitsuba as mi
 counts = collections.Counter()
 def watch():
-    from mi_ellipse import emitter
+    from mi_ellipse.plugins import emitter
     define = emitter.define
-    def counted():
-        counts[mi.variant()] += 1
-        return define()
+    def counted(variant):
+        counts[variant] += 1
+        return define(variant)
     emitter.define = counted
 def check(variant, times=1):
     lamp = {"type": "ellipse", "emitter": {"type": "ellipticalarea"}}
@@ -263,9 +263,9 @@ def test_strategy_is_the_one_asked_for(name):
     it.p, it.n = mi.Point3f(0.3, -0.4, 0), mi.Normal3f(0, 0, 1)
     u = mi.Point2f(np.random.default_rng(7).random((2, 100), dtype=np.float32))
     ds, weight = emitter.sample_direction(it, u)
-    strategy = STRATEGIES[name]()
+    strategy = STRATEGIES[name].make()
     light = ellipse.from_transform(mi.AffineTransform4f(LAMP))
-    d, pdf, _ = strategy.sample(strategy.prepare(light, it.p, it.n), u)
+    d, pdf, _ = strategy.sample(strategy.prepare(light.seen_from(it.p), it.n), u)
     lit = weight[0].numpy() > 0
     pdf = np.broadcast_to(pdf.numpy(), lit.shape)
     np.testing.assert_allclose(ds.pdf.numpy()[lit], pdf[lit], rtol=1e-4)

@@ -11,7 +11,7 @@ import scipy.integrate
 from conftest import ellipses, lamp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mi_ellipse import ellipse
+from mi_ellipse.geometry import ellipse
 from mi_ellipse.sampling import STRATEGIES
 from mitsuba.chi2 import ChiSquareTest
 
@@ -204,8 +204,8 @@ class Draws:
 
         light = ellipses(*(self.data[k] for k in ("U", "W", "centre")))
         reference = mi.Point3f(self.data["reference"].T)
-        strategy = STRATEGIES[name]()
-        record = strategy.prepare(light, reference, mi.Normal3f(normal[pick].T))
+        strategy = STRATEGIES[name].make()
+        record = strategy.prepare(light.seen_from(reference), mi.Normal3f(normal[pick].T))
         local, drawn, valid = strategy.sample(record, mi.Point2f(u.T))
         world = mi.Vector3f(light.to_world(local))
         evaluated = strategy.pdf(record, light.to_light(world))
@@ -330,12 +330,12 @@ def test_estimates_of_the_emitter_are_finite_at_the_extremes(name):
 def test_scalar_variants_at_degenerate_views(name):
     """Python's floats raise an error where Dr.Jit's arrays divide by zero."""
     mi.set_variant("scalar_rgb")
-    strategy = STRATEGIES[name]()
+    strategy = STRATEGIES[name].make()
     for semi_axes in ([1, 1], [1, 0.5], [0.5, 1]):
         light = ellipse.from_transform(mi.ScalarAffineTransform4d(np.diag([*semi_axes, 1, 1.0])))
         for point in ([0, 0, 1], [0, 0, 0.5], [1, 0, 0], [0.3, 0, 0], [0, 3, 1], [2, 0, 0]):
             for normal in ([0, 0, 0], [0, 0, -1], [0, 0, 1], [1, 0, 0], [0, -1, 0]):
-                record = strategy.prepare(light, mi.Point3f(point), mi.Normal3f(normal))
+                record = strategy.prepare(light.seen_from(mi.Point3f(point)), mi.Normal3f(normal))
                 for u in ([0, 0], [0.25, 0.5], [0.5, 0], [0, 0.5], [LAST, LAST]):
                     d, drawn, _ = strategy.sample(record, mi.Point2f(u))
                     evaluated = strategy.pdf(record, d)
@@ -390,8 +390,8 @@ class Situation:
         self.u, self.w = u, w
 
     def record(self, name):
-        strategy = STRATEGIES[name]()
-        return strategy, strategy.prepare(self.light, self.reference, self.normal)
+        strategy = STRATEGIES[name].make()
+        return strategy, strategy.prepare(self.light.seen_from(self.reference), self.normal)
 
     def density(self, name, d):
         strategy, record = self.record(name)
@@ -519,8 +519,8 @@ def test_published_density_of_tangent_disk_is_biased():
     On the cosine about the axis, which the package's draw with its own density gets right.
     """
     light = ellipses([[2, 0, 0]], [[0, 0.5, 0]], [[0, 0, 1]])
-    strategy = STRATEGIES["tangent_disk"]()
-    record = strategy.prepare(light, mi.Point3f(0, 0, 0), mi.Normal3f(0))
+    strategy = STRATEGIES["tangent_disk"].make()
+    record = strategy.prepare(light.seen_from(mi.Point3f(0, 0, 0)), mi.Normal3f(0))
     d, pdf, _ = strategy.sample(record, mi.Point2f(GRID))
     cosine = np.abs(d.z.numpy().astype(float))
     expected = np.pi * 2 / np.sqrt(5) * 0.5 / np.sqrt(1.25)

@@ -74,7 +74,7 @@ def check() -> None:
         return
 
     version = loaded_version()
-    if version < (MINIMUM_VERSION,):
+    if version is not None and version < (MINIMUM_VERSION,):
         raise UnsupportedLLVMError(
             f"Dr.Jit has loaded LLVM {'.'.join(map(str, version))}"
             f" ({loaded_library() or 'path unknown'}), which aborts the process when a kernel is"
@@ -139,7 +139,7 @@ def _drjit_in_use() -> bool:
     """Tell whether anything was computed with Dr.Jit, or a variant was set that does."""
     import drjit as dr
 
-    return "No variables registered" not in dr.whos(as_string=True) or any(
+    return "No variables registered" not in str(dr.whos(as_string=True)) or any(
         name.startswith(("mitsuba.llvm_", "mitsuba.cuda_", "mitsuba.metal_"))
         for name in sys.modules
     )

@@ -10,7 +10,7 @@ import sys
 from importlib import metadata
 
 import pytest
-from mi_ellipse import llvm
+from mi_ellipse.system import llvm
 
 BUNDLED = llvm.bundled_library()
 needs_bundled = pytest.mark.skipif(BUNDLED is None, reason="no bundled LLVM on this platform")
@@ -19,7 +19,7 @@ needs_bundled = pytest.mark.skipif(BUNDLED is None, reason="no bundled LLVM on t
 PRETEND_OLD = "import drjit as dr; dr.detail.llvm_version = lambda: (16, 0, 6)\n"
 
 RENDER = "print('mean', mi.render(mi.load_dict(mi.cornell_box()), spp=1).numpy().mean())\n"
-REPORT = "from mi_ellipse import llvm; print(llvm.loaded_version(), llvm.loaded_library())\n"
+REPORT = "from mi_ellipse.system import llvm; print(llvm.loaded_version(), llvm.loaded_library())\n"
 
 
 def run(code, library=None, check=True):
@@ -121,7 +121,7 @@ def test_old_llvm_is_refused_at_import():
 def test_plugins_refuse_old_llvm_after_an_error_that_was_ignored():
     process = run(
         PRETEND_OLD + "import mi_ellipse, mitsuba as mi\n"
-        "from mi_ellipse import llvm\n"
+        "from mi_ellipse.system import llvm\n"
         "try: mi.set_variant('llvm_ad_rgb')\n"
         "except llvm.UnsupportedLLVMError: print(mi.variant())\n"
         "try: llvm.check()\n"

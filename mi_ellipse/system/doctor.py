@@ -6,7 +6,7 @@ import sys
 from dataclasses import dataclass
 
 from . import llvm
-from .errors import innermost_cause
+from .messages import innermost_cause
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ def try_variant(variant: str, command: tuple[str, ...] | None = None) -> Trial:
     command
         What to run instead of this module; the variant is appended.
     """
-    command = command or (sys.executable, "-m", "mi_ellipse.doctor")
+    command = command or (sys.executable, "-m", "mi_ellipse.system.doctor")
     # The child chooses its LLVM by itself, as any other process on this machine will.
     process = subprocess.run(
         [*command, variant], capture_output=True, text=True, env=llvm.user_environment()
@@ -38,8 +38,14 @@ def try_variant(variant: str, command: tuple[str, ...] | None = None) -> Trial:
     if process.returncode < 0:
         complaint = (process.stderr.splitlines() or ["it left no message"])[0]
         return Trial(variant, False, f"died of signal {-process.returncode}: {complaint}", "")
-    report = json.loads(process.stdout.splitlines()[-1])
-    return Trial(variant, process.returncode == 0, report["error"], report["llvm"])
+    try:
+        report = json.loads(process.stdout.splitlines()[-1])
+        return Trial(variant, process.returncode == 0, report["error"], report["llvm"])
+    except (IndexError, KeyError, TypeError, ValueError):  # The report is missing or something else
+        # The last line of a traceback says what went wrong.
+        complaint = (process.stderr.splitlines() or ["it left no message"])[-1]
+        message = f"ended without a report (exit code {process.returncode}): {complaint}"
+        return Trial(variant, False, message, "")
 
 
 def representatives(variants: list[str]) -> list[str]:
@@ -77,7 +83,7 @@ def _render_lamp(variant: str) -> str:
     mi.render(scene, spp=4).numpy()
     if not variant.startswith("llvm"):
         return ""
-    version = ".".join(map(str, llvm.loaded_version()))
+    version = ".".join(map(str, llvm.loaded_version() or ()))
     return f"{version} ({llvm.loaded_library() or 'path unknown'})"
 
 

@@ -1,48 +1,85 @@
-"""The planar ellipse: centre, principal axes, area, local coordinates, point from direction."""
+"""The planar ellipse: principal axes, area, and how it is seen from a point."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 
-# Height of the reference above the light's plane, in units of the longer semi-axis, below which it
-# counts as this height. It keeps `1/z` finite for points in the plane and is far below what
+from . import cone
+from .cone import Cone
+from .tracing import cross
+
+# A reference point closer to the plane of the light counts as being at this height, in units of the
+# longer semi-axis. `1/z` then stays finite for points in the plane. The height is far below what
 # single-precision coordinates resolve.
 PLANE_FLOOR = 1e-12
 
-# Distance, in units of the longer semi-axis, from which on directions along the plane count as
-# meeting it: a finite one, and far beyond the range of the cone.
+# Directions along the plane meet it at this distance, in units of the longer semi-axis. It is far
+# beyond the range of the cone and finite.
 FARTHEST = 1e25
 
 
-def cross(a, b):
-    """Cross product: `drjit.cross`, which takes three times as long to trace."""
-    return type(a)(
-        dr.fma(a.y, b.z, -(a.z * b.y)),
-        dr.fma(a.z, b.x, -(a.x * b.z)),
-        dr.fma(a.x, b.y, -(a.y * b.x)),
-    )
+class Hit(NamedTuple):
+    """The point of a light that a direction meets."""
+
+    p: mi.Point3f  # World-space point
+    n: mi.Normal3f  # World-space normal there
+    uv: mi.Point2f  # Parameterisation of Mitsuba's `disk` there
+    distance: mi.Float  # From the reference point, in world units
+
+
+class View:
+    """A light as it is seen from a point, in the light's frame ``(ex, ey, normal)``.
+
+    Parameters
+    ----------
+    light
+        The light.
+    position
+        Vector from the point to the centre, as `Ellipse.light_coordinates` returns it.
+    """
+
+    def __init__(self, light: Ellipse, position: mi.Vector3d):
+        self.light = light
+        self.position = position
+
+    @cached_property
+    def centre(self) -> mi.Vector3f:
+        """The position in single precision."""
+        return mi.Vector3f(self.position)
+
+    @cached_property
+    def cone(self) -> Cone:
+        """The cone of directions that meet the light."""
+        light = self.light
+        return cone.of_ellipse(
+            self.position, light.ratio, light.ratio32, light.inv_ratio, light.eccentricity2
+        )
+
+    @property
+    def lit(self) -> mi.Mask:
+        """True on the emitting side of the light.
+
+        The sign is that of the double-precision height. Draw and density both ask here, so they
+        agree for points in the plane of the light.
+        """
+        return self.centre.z < mi.Float(0)
 
 
 @dataclass
-class Ellipse:
-    """An elliptical light in world space, prepared once per light.
+class PrincipalAxes:
+    """The numbers of an elliptical light that follow from its transform, without its centre.
 
-    The light is ``{centre + a·lx·ex + b·ly·ey : a² + b² ≤ 1}`` with ``lx ≥ ly``; it emits towards
-    ``normal = ex × ey``. Whatever cancels against the reference point is kept in double precision:
-    with a single-precision normal, the solid angle of a rotated light seen from its own plane is
-    off by factors of up to 20.
-
-    A kernel gathers these numbers for every path and call, so what follows from others is no field.
-    Cached properties are variables of the trace that first asks for them: copy before tracing.
-    It gathers up to eight of one size at once: the last three, which only textures need, have the
-    size that leaves room for a radiance beside the others of single precision.
+    The kernel loads these numbers for every path and call. So a number that follows from others is
+    no field. The kernel loads up to eight numbers of one size at once. The last three serve
+    textures alone. They are in double precision because the eight of single precision are full,
+    with the centre and an RGB radiance.
     """
 
-    centre: mi.Point3d
     ex: mi.Vector3d  # Direction of the longer principal axis
     ey: mi.Vector3d  # Direction of the shorter principal axis
     inv_lx: mi.Float64  # 1 / lx
@@ -52,6 +89,41 @@ class Ellipse:
     parameter_cos: mi.Float64  # First column of the rotation (or reflection) that takes principal
     parameter_sin: mi.Float64  # coordinates (a, b) to those of the unit disk before `to_world`
     handedness: mi.Float64  # +1 for that rotation, -1 for that reflection
+
+
+@dataclass
+class StoredEllipse(PrincipalAxes):
+    """An elliptical light as a lamp keeps it between traces; arrays of many lights too."""
+
+    centre: mi.Point3f  # Mitsuba keeps transforms in single precision
+
+    def light(self) -> Ellipse:
+        """Return the light for one trace."""
+        return Ellipse(**(_fields(self) | {"centre": mi.Point3d(self.centre)}))
+
+
+@dataclass
+class Ellipse(PrincipalAxes):
+    """An elliptical light in world space, for one trace.
+
+    The light is ``{centre + a·lx·ex + b·ly·ey : a² + b² ≤ 1}`` with ``lx ≥ ly``; it emits towards
+    ``normal = ex × ey``. Whatever cancels against the reference point is in double precision. With
+    a single-precision normal, the solid angle of a rotated light seen from its own plane is off by
+    factors of up to 20.
+
+    A cached property is a variable of the trace that first asks for it. So each trace takes a light
+    of its own from `StoredEllipse.light`.
+    """
+
+    centre: mi.Point3d
+
+    def stored(self) -> StoredEllipse:
+        """Return what a lamp keeps."""
+        return StoredEllipse(**(_fields(self) | {"centre": mi.Point3f(self.centre)}))
+
+    def seen_from(self, point: mi.Point3f) -> View:
+        """Return the view of the light from a world-space point."""
+        return View(self, self.light_coordinates(point))
 
     @cached_property
     def normal(self) -> mi.Vector3d:
@@ -111,24 +183,55 @@ class Ellipse:
         ex, ey, normal = self.axes32
         return dr.fma(ex, v.x, dr.fma(ey, v.y, normal * v.z))
 
+    def surface_offset(self, u: mi.Point2f) -> mi.Vector3f:
+        """Vector from the centre to a point uniform on the surface, from two random numbers.
+
+        Through the concentric map (Shirley and Chiu, *A Low Distortion Map Between Disk and
+        Square*, 1997). Along ``(ex, ey, normal)`` in units of lx.
+        """
+        point = mi.warp.square_to_uniform_disk_concentric(u)
+        return mi.Vector3f(point.x, self.ratio32 * point.y, 0)
+
+    def surface_density(self, view: View, direction: mi.Vector3f) -> mi.Float:
+        """Density per solid angle of a direction to a point that is uniform on the surface.
+
+        ``r² / (A cos θ)`` with the distance r, the area A and the angle θ at the light.
+        """
+        cosine = direction.z
+        distance = view.centre.z / cosine
+        return dr.square(distance) / (dr.pi * self.ratio32 * dr.abs(cosine))
+
+    def hit(self, view: View, direction: mi.Vector3f) -> Hit:
+        """Return the point where a drawn direction meets the light.
+
+        Parameters
+        ----------
+        view
+            The light as it is seen from the reference point.
+        direction
+            Unit direction along ``(ex, ey, normal)`` that meets the light.
+        """
+        a, b, distance = self.point_from_direction(view.centre, direction)
+        return Hit(self.point(a, b), mi.Normal3f(self.axes32[2]), self.uv(a, b), distance)
+
     def point_from_direction(
         self, centre: mi.Vector3f, direction: mi.Vector3f
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
-        """Where a direction meets the ellipse.
+        """Principal coordinates and distance of the point where a direction meets the light.
 
         Parameters
         ----------
         centre
-            What `light_coordinates` returned for the reference point.
+            `View.centre` of the reference point.
         direction
             Unit direction along ``(ex, ey, normal)`` that meets the light.
 
         Returns
         -------
         a, b
-            Principal coordinates, ``a² + b² ≤ 1`` up to the rounding of a plane intersection that
-            lies nearer than one semi-axis, and clamped to the ellipse beyond: at grazing angles a
-            quarter of the plain intersections of drawn directions miss the ellipse.
+            Principal coordinates. Nearer than one semi-axis, ``a² + b² ≤ 1`` up to the rounding of
+            a plane intersection. Farther away, they are clamped to the ellipse: at grazing angles a
+            quarter of the plain intersections of drawn directions miss it.
         distance
             Distance from the reference point in world units.
         """
@@ -172,6 +275,10 @@ class Ellipse:
         a = c * point.x + s * point.y
         b = c * point.y - s * point.x
         return a, b * mi.Float(self.handedness)
+
+
+def _fields(axes: PrincipalAxes) -> dict:
+    return {field.name: getattr(axes, field.name) for field in fields(axes)}
 
 
 def from_transform(to_world) -> Ellipse:

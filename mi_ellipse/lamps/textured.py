@@ -8,8 +8,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import cone
-from ..ellipse import Ellipse
+from ..geometry.ellipse import View
+from ..geometry.tracing import TINY
 
 # Least share of either kind of draws: the other's second moment grows by at most 1 / (1 - this).
 MINIMUM_SHARE = 0.05
@@ -19,8 +19,7 @@ class Record(NamedTuple):
     """What is computed once per reference point."""
 
     strategy: Any  # Record of the wrapped strategy
-    light: Ellipse
-    centre: mi.Vector3f
+    view: View
     share: mi.Float  # of the draws that follow the texture
 
 
@@ -54,31 +53,31 @@ class Textured:
         self.contrast, self.spread = mi.Float(contrast), mi.Float(spread)
         dr.make_opaque(self.contrast, self.spread)
 
-    def prepare(self, ellipse: Ellipse, reference: mi.Point3f, normal: mi.Normal3f) -> Record:
+    def prepare(self, view: View, normal: mi.Normal3f) -> Record:
         """Record of the strategy, and the share of the texture."""
-        seen = cone.from_point(ellipse, reference)
+        seen = view.cone
         # Of the texture alone, near the light: that of area sampling on the axis of a large disk
         # is tan² / 8.
         nearness = 0.125 * seen.ta * seen.tb
         share = self.contrast / (self.contrast + self.spread + nearness)
         return Record(
-            strategy=self.strategy.prepare(ellipse, reference, normal),
-            light=ellipse,
-            centre=seen.centre,
+            strategy=self.strategy.prepare(view, normal),
+            view=view,
             share=dr.clip(share, MINIMUM_SHARE, 1 - MINIMUM_SHARE),
         )
 
     def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
-        """Direction along the light's ``(ex, ey, normal)``, its density, and validity."""
+        """Direction along the light's frame, its density, and validity."""
         share = record.share
         from_texture = u.x < share
         u_texture = mi.Point2f(u.x / share, u.y)
         u_strategy = mi.Point2f((u.x - share) / (1 - share), u.y)
 
-        uv, _ = self.texture.sample_position(u_texture, from_texture)
-        a, b = record.light.from_uv(uv)
-        offset = mi.Vector3f(a, b * record.light.ratio32, 0)
-        d_texture = dr.normalize(record.centre + offset)
+        uv = self.sample_position(u_texture, from_texture)
+        light = record.view.light
+        a, b = light.from_uv(uv)
+        offset = mi.Vector3f(a, b * light.ratio32, 0)
+        d_texture = dr.normalize(record.view.centre + offset)
         d_strategy, strategy_pdf, valid = self.strategy.sample(record.strategy, u_strategy)
 
         d = dr.select(from_texture, d_texture, d_strategy)
@@ -93,14 +92,26 @@ class Textured:
 
     def _mixture(self, record: Record, direction: mi.Vector3f, strategy_pdf: mi.Float) -> mi.Float:
         """Density of both kinds of draws, per solid angle."""
-        light, centre = record.light, record.centre
-        a, b, _ = light.point_from_direction(centre, direction)
-        uv = light.uv(a, b)
-        # uv = (radius, angle / 2π): the area is 2π radius du dv, times lx ly
-        distance = centre.z / direction.z
+        view = record.view
+        light = view.light
+        a, b, _ = light.point_from_direction(view.centre, direction)
+        distance = view.centre.z / direction.z
         area_to_angle = dr.square(distance) / (light.ratio32 * dr.abs(direction.z))
-        texture_pdf = self.texture.pdf_position(uv) * dr.inv_two_pi / uv.x * area_to_angle
+        texture_pdf = self.texture_density(light.uv(a, b)) * dr.inv_pi * area_to_angle
         return dr.lerp(strategy_pdf, texture_pdf, record.share)
+
+    # ---- Positions ----
+
+    def sample_position(self, u: mi.Point2f, active: mi.Mask) -> mi.Point2f:
+        """Draw uv by the brightness of the texture."""
+        return self.texture.sample_position(u, active)[0]
+
+    def texture_density(self, uv: mi.Point2f) -> mi.Float:
+        """Density of the texture's draws per area, over that of uniform draws on the surface.
+
+        ``uv = (radius, angle / 2π)``: the area is ``2π radius du dv`` times the semi-axes.
+        """
+        return self.texture.pdf_position(uv) / dr.maximum(uv.x + uv.x, TINY)
 
 
 def follows_texture(texture: mi.Texture) -> bool:

@@ -1,4 +1,4 @@
-"""The elliptical cone seen from a point: frame, tangent semi-axes, solid angle, irradiance."""
+"""The elliptical cone of a light: frame, tangent semi-axes, solid angle, vector irradiance."""
 
 from __future__ import annotations
 
@@ -7,10 +7,7 @@ from typing import NamedTuple
 import drjit as dr
 import mitsuba as mi
 
-from .ellipse import Ellipse, cross
-
-# Smallest normal single-precision number: a floor for denominators whose numerators vanish too.
-TINY = 1.1754944e-38
+from .tracing import TINY, cross
 
 # Floor of a difference of eigenvalues, in units of the longer semi-axis, at which the other one is
 # negligible. Its product with the square of any ratio of the semi-axes is representable.
@@ -40,7 +37,6 @@ class Cone(NamedTuple):
     ta2: mi.Float  # Squared tangent of the larger half-angle
     tb2: mi.Float  # Squared tangent of the smaller half-angle
     inv_ta2: mi.Float  # 1 / ta2
-    centre: mi.Vector3f  # Of the light: `Ellipse.light_coordinates` in single precision
 
     @property
     def ta(self) -> mi.Float:
@@ -129,21 +125,34 @@ def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
     return dr.select(root > z2, root, z2)
 
 
-def from_point(ellipse: Ellipse, reference: mi.Point3f) -> Cone:
-    """Cone of the directions from a world-space point that meet a light.
+def of_ellipse(
+    position: mi.Vector3d,
+    ratio: mi.Float64,
+    ratio32: mi.Float,
+    inv_ratio: mi.Float,
+    eccentricity2: mi.Float,
+) -> Cone:
+    """Cone of the directions that meet a planar ellipse.
 
-    Eigen-decomposition of the dual cone matrix ``U Uᵀ + W Wᵀ - C Cᵀ`` in confocal coordinates:
-    in the light's principal frame all three eigenvalues follow from one root without
+    Eigen-decomposition of the dual cone matrix ``U Uᵀ + W Wᵀ - C Cᵀ`` in confocal coordinates. In
+    the principal frame of the light all three eigenvalues follow from one root without
     cancellation, also for points in the light's plane, needles and distant lights.
-    """
-    centre = ellipse.light_coordinates(reference)
-    eccentricity2 = ellipse.eccentricity2
-    root = confocal_root(centre, ellipse.ratio)
 
-    centre = mi.Vector3f(centre)
+    Parameters
+    ----------
+    position
+        Vector from the reference point to the centre along the light's ``(ex, ey, normal)``, in
+        units of the longer semi-axis.
+    ratio, ratio32, inv_ratio, eccentricity2
+        Shorter over longer semi-axis, in double and single precision; its reciprocal; one minus
+        its square.
+    """
+    root = confocal_root(position, ratio)
+
+    centre = mi.Vector3f(position)
     xc, yc, zc = centre
     zero, one, half = mi.Float(0), mi.Float(1), mi.Float(0.5)
-    e2 = dr.square(ellipse.ratio32)
+    e2 = dr.square(ratio32)
     inv_root, inv_x, inv_y = dr.rcp(root), dr.rcp(one + root), dr.rcp(e2 + root)
     height = zc * inv_root
 
@@ -169,14 +178,14 @@ def from_point(ellipse: Ellipse, reference: mi.Point3f) -> Cone:
     y = mi.Vector3f(
         xc * height * m2,
         yc * height * along,
-        -(dr.square(ellipse.inv_ratio) * mu1 * m2) * along,
+        -(dr.square(inv_ratio) * mu1 * m2) * along,
     )
     # Only rounding is left of it there, or what is along z.
     size2, overlap = dr.squared_norm(y), dr.dot(y, z)
     left2 = dr.fma(-overlap, overlap, size2)
     y = (y - z * overlap) * dr.rsqrt(left2)
     y = dr.select(left2 > 0.25 * size2, y, mi.Vector3f(zero, one, zero))
-    return Cone(cross(y, z), y, z, ta2, tb2, root * inv_mu1, centre)
+    return Cone(cross(y, z), y, z, ta2, tb2, root * inv_mu1)
 
 
 def solid_angle(cone: Cone) -> mi.Float:
@@ -202,3 +211,14 @@ def solid_angle(cone: Cone) -> mi.Float:
         e = kc * m
     cel = 0.5 * dr.pi * dr.fma(f_sum, m, q) / (m * (m + p))
     return 4 * (ta * dr.rsqrt(a)) * (tb / a) * cel
+
+
+def vector_irradiance(cone: Cone) -> mi.Vector3f:
+    """Integral of the direction over the cone, in the frame in which the axes are given.
+
+    ``π sin α sin β z`` with the half-angles α and β and the axis z: Heitz and Hill, *Real-Time
+    Line- and Disk-Light Shading with Linearly Transformed Cosines* (SIGGRAPH course, 2017). Its
+    product with a normal is the irradiance of a unit radiance, if the light is above the horizon.
+    """
+    sines = cone.ta * cone.tb / dr.sqrt((1 + cone.ta2) * (1 + cone.tb2))
+    return cone.z * (dr.pi * sines)

@@ -1,4 +1,4 @@
-"""Plugin `ellipse`: an exact ellipse, as Mitsuba's `disk` under an affine map."""
+"""Plugin `ellipse`: an exact ellipse, which is Mitsuba's `disk` under an affine map."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ import math
 
 import drjit as dr
 import mitsuba as mi
+
+from ..geometry.tracing import cross
+from .attachment import attach
+from .names import DISK, ELLIPSE
 
 # Volume of the image of the unit cube over the product of its edges: below, double precision cannot
 # tell a transform from a singular one.
@@ -31,18 +35,11 @@ def create(props: mi.Properties) -> mi.Shape:
     to_world = _to_world(props)
 
     disk_props = mi.Properties(props)
-    disk_props.set_plugin_name("disk")
+    disk_props.set_plugin_name(DISK)
     for name in ("semi_axis_x", "semi_axis_y"):
         if name in disk_props:
             del disk_props[name]
     disk_props["to_world"] = to_world @ mi.ScalarAffineTransform4d().scale([*semi_axes, 1])
-    for name, value in disk_props.objects(mark_queried=False):
-        if not hasattr(value, "claimed"):  # Not an `ellipticalarea`
-            continue
-        # Mitsuba merges equal Python emitters of a dictionary into one object.
-        if value.claimed:
-            value = disk_props[name] = value.copy()
-        value.claimed = True
     disk = mi.PluginManager.instance().create_object(disk_props)
 
     # What `disk` did not ask for stays unqueried, so that Mitsuba reports a misspelt parameter.
@@ -50,18 +47,16 @@ def create(props: mi.Properties) -> mi.Shape:
         if name not in disk_props or disk_props.was_queried(name):
             props.mark_queried(name)
 
-    emitter = disk.emitter()
-    if emitter is not None and hasattr(emitter, "attach"):
-        emitter.attach()
+    attach(disk)
     return disk
 
 
 def _semi_axis(props: mi.Properties, name: str) -> float:
     value = props.get(name, 1.0)
     if not isinstance(value, float | int):
-        raise ValueError(f'ellipse: {name}="{value}" must be a number')
+        raise ValueError(f'{ELLIPSE}: {name}="{value}" must be a number')
     if not (math.isfinite(value) and value > 0):
-        raise ValueError(f"ellipse: {name}={value:g} must be positive and finite")
+        raise ValueError(f"{ELLIPSE}: {name}={value:g} must be positive and finite")
     return value
 
 
@@ -72,10 +67,10 @@ def _to_world(props: mi.Properties) -> mi.ScalarAffineTransform4d:
     matrix = given.matrix
     entries = [float(matrix[i, j]) for i in range(4) for j in range(4)]
     if not all(map(math.isfinite, entries)):
-        raise ValueError(f"ellipse: to_world has entries that are not finite:\n{matrix}")
+        raise ValueError(f"{ELLIPSE}: to_world has entries that are not finite:\n{matrix}")
 
     columns = [mi.ScalarVector3d(matrix[0, j], matrix[1, j], matrix[2, j]) for j in range(3)]
-    volume = abs(dr.dot(dr.cross(columns[0], columns[1]), columns[2]))
+    volume = abs(dr.dot(cross(columns[0], columns[1]), columns[2]))
     if volume <= SMALLEST_VOLUME * math.prod(map(dr.norm, columns)):
-        raise ValueError(f"ellipse: to_world is singular, it must be invertible:\n{matrix}")
+        raise ValueError(f"{ELLIPSE}: to_world is singular, it must be invertible:\n{matrix}")
     return mi.ScalarAffineTransform4d(matrix)

@@ -1,0 +1,71 @@
+"""`mi-ellipse compare`: compare sampling strategies in a scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import mitsuba as mi
+import typer
+from rich.console import Console
+
+from .options import (
+    DEFAULT_VARIANT,
+    Definitions,
+    Insets,
+    SceneFile,
+    Variant,
+    parse_definitions,
+    parse_insets,
+    parse_integers,
+)
+from .process import interrupt_ends_process, one_line_errors
+from .progress import step_bars
+from .report import draw
+
+
+def run(
+    scene_file: SceneFile,
+    sampling: Annotated[
+        str,
+        typer.Option(metavar="NAME,…", help="Strategies; all are compared with the first."),
+    ],
+    spp: Annotated[str, typer.Option(metavar="N,…", help="Samples per pixel.")],
+    reference_spp: Annotated[int, typer.Option(min=2, help="Samples per pixel of the reference.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for all that is made.")
+    ],
+    seeds: Annotated[
+        int, typer.Option(min=1, help="Pictures of each kind, for the error of the errors.")
+    ] = 4,
+    variant: Variant = DEFAULT_VARIANT,
+    insets: Insets = None,
+    definitions: Definitions = None,
+) -> None:
+    """Compare sampling strategies: errors, times, figures and a report to look at."""
+    parameters = parse_definitions(definitions)
+    counts = parse_integers("--spp", spp)
+    regions = parse_insets(insets)
+    strategies = [name.strip() for name in sampling.split(",")]
+
+    with one_line_errors(), interrupt_ends_process():
+        # Not with the other imports: drawing would make every command slow to start.
+        from ..study import compare
+
+        mi.set_variant(variant)
+        output.mkdir(parents=True, exist_ok=True)
+        console = Console(stderr=True)
+        with step_bars(console) as progress:
+            comparison = compare(
+                scene_file,
+                output,
+                strategies,
+                counts,
+                reference_spp,
+                seeds,
+                parameters,
+                progress,
+                console.print,
+            )
+        page = draw(comparison, regions, console)
+    print(f"{page}, {output / 'results.csv'}, {output / 'results.json'}, {output / 'figures'}")

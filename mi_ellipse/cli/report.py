@@ -1,0 +1,43 @@
+"""`mi-ellipse report`: draw the figures and the report of a comparison again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from .options import Insets, parse_insets
+from .process import interrupt_ends_process, one_line_errors
+
+if TYPE_CHECKING:
+    from ..study.results import Comparison
+
+
+def run(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a finished comparison.")],
+    insets: Insets = None,
+) -> None:
+    """Make the figures and the report of a finished comparison, without rendering."""
+    regions = parse_insets(insets)
+    with one_line_errors(), interrupt_ends_process():
+        # Not with the other imports: drawing would make every command slow to start.
+        from ..study import results
+
+        page = draw(results.read(folder), regions, Console(stderr=True))
+    print(f"{page}, {folder / 'figures'}")
+
+
+def draw(
+    comparison: Comparison, insets: list[tuple[int, int, int, int]] | None, console: Console
+) -> Path:
+    """Write the figures and the report of a comparison, repeat its warnings, return the page."""
+    from ..study import drawing, report
+
+    console.print("Drawing the figures and the report")
+    drawing.write_figures(comparison, insets)
+    page = report.write_report(comparison, insets)
+    for warning in comparison.warnings():
+        console.print(f"WARNING: {warning}", style="bold red")
+    return page

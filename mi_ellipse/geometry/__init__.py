@@ -1,0 +1,1 @@
+"""What a light looks like from a point: ellipse, cone, irradiance, mesh."""

@@ -1,0 +1,1 @@
+"""Lamps: geometry, strategy and radiance together, without Mitsuba's emitter interface."""

@@ -1,0 +1,166 @@
+"""A lamp: geometry, strategy and radiance, with its draws, densities and positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+
+from ..geometry import ellipse
+from ..geometry.ellipse import StoredEllipse
+from ..geometry.tracing import branch
+from ..sampling import find
+from .textured import Textured, follows_texture
+
+# Distances below this part of the coordinates are nothing but their rounding. A coordinate in
+# single precision is known to 2^-24, and a distance comes from six of them.
+RESOLUTION = 2**-21
+
+
+class Draw(NamedTuple):
+    """A direction towards a lamp, and what it meets there."""
+
+    p: mi.Point3f  # Point of the lamp
+    n: mi.Normal3f  # Normal there
+    uv: mi.Point2f  # Parameterisation there
+    d: mi.Vector3f  # World-space direction
+    distance: mi.Float
+    pdf: mi.Float  # Density per solid angle; zero for a draw without light
+    weight: mi.UnpolarizedSpectrum  # Radiance over density
+
+
+@dataclass
+class Lamp:
+    """One lamp, independent of Mitsuba's emitter interface.
+
+    Draws, with their radiance, and densities are branches of the kernel. Dr.Jit calls the one kind
+    of lamp of a scene for every packet of paths, active or not; the branch looks at the mask of the
+    call and leaves inactive packets out.
+
+    Directions and their densities are detached; gradients reach the radiance.
+
+    Parameters
+    ----------
+    radiance
+        Emitted radiance.
+    sampling
+        Name of a strategy.
+    stored
+        The geometry; None until the lamp is placed. `dr.freeze` finds it because this is a
+        dataclass.
+    """
+
+    radiance: mi.Texture
+    sampling: str
+    stored: StoredEllipse | None = None
+
+    def __post_init__(self) -> None:
+        self.follow_radiance()
+
+    def place(self, to_world: mi.AffineTransform4f) -> None:
+        """Take the geometry from the transform of the unit disk, as values of their own."""
+        stored = ellipse.from_transform(dr.detach(to_world)).stored()
+        dr.make_opaque(stored)
+        self.stored = stored
+
+    def follow_radiance(self) -> None:
+        """Choose how to draw for the radiance as it is now."""
+        self.strategy = find(self.sampling).make()
+        self.follows_texture = follows_texture(self.radiance)
+        if self.follows_texture:
+            self.strategy = Textured(self.strategy, self.radiance)
+
+    # ---- Directions ----
+
+    def draw(self, it: mi.Interaction3f, u: mi.Point2f) -> Draw:
+        """Draw a direction from a reference point with two random numbers."""
+        # A copy of `it`, which may have changed until derivatives trace the branch again
+        drawn = branch(u, True, partial(self._draw, type(it)(it)), _draw_nothing)
+        return Draw(*drawn)
+
+    def density(self, it: mi.Interaction3f, d: mi.Vector3f, active: mi.Mask) -> mi.Float:
+        """Density per solid angle of a world-space direction that meets the lamp."""
+        return branch(d, active, partial(self._density, type(it)(it)), _no_density)
+
+    def lights(self, point: mi.Point3f) -> mi.Mask:
+        """Tell whether a point is on the emitting side, as draws and densities decide it."""
+        with dr.suspend_grad():
+            return self.stored.light().seen_from(point).lit
+
+    def _draw(self, it, u):
+        """`Draw` of one trace of the branch.
+
+        Integrators skip draws of no density; a NaN would survive a multiplication by zero.
+        """
+        with dr.suspend_grad(), self._without_lookup():
+            light = self.stored.light()
+            view = light.seen_from(it.p)
+            record = self.strategy.prepare(view, it.n)
+            d, pdf, valid = self.strategy.sample(record, u)
+            zero = mi.Float(0)
+            valid &= view.lit & (pdf > zero) & (pdf < dr.inf)
+            hit = light.hit(view, d)
+            # From a point of the lamp itself the point drawn may be this same one. The direction
+            # that `prb` and others take between the two is then 0/0.
+            valid &= hit.distance > RESOLUTION * dr.max(dr.abs(it.p))
+            pdf = dr.select(valid, pdf, zero)
+            inv_pdf = dr.select(valid, dr.rcp(pdf), zero)
+
+            si = dr.zeros(mi.SurfaceInteraction3f)
+            si.p, si.n, si.uv = hit.p, hit.n, hit.uv
+            si.wavelengths = it.wavelengths
+            d = light.to_world(d)
+        weight = self.radiance.eval(si, valid) * inv_pdf
+        return hit.p, hit.n, hit.uv, d, hit.distance, pdf, weight
+
+    def _density(self, it, d):
+        """Density of one trace of the branch."""
+        with dr.suspend_grad(), self._without_lookup():
+            light = self.stored.light()
+            view = light.seen_from(it.p)
+            record = self.strategy.prepare(view, it.n)
+            pdf = self.strategy.pdf(record, light.to_light(d))
+            return dr.select(view.lit & dr.isfinite(pdf), pdf, 0)
+
+    def _without_lookup(self):
+        """Let Dr.Jit not look for each new operation among all living ones.
+
+        With a hundred lamps the search is a quarter of the time to trace them, and the strategies
+        hardly repeat themselves. Mitsuba's bitmaps do, and keep it.
+        """
+        return dr.scoped_set_flag(dr.JitFlag.ValueNumbering, self.follows_texture)
+
+    # ---- Positions ----
+
+    def sample_position(
+        self, u: mi.Point2f, active: mi.Mask
+    ) -> tuple[mi.Point3f, mi.Normal3f, mi.Point2f]:
+        """Point of the lamp, normal and uv, by the texture or uniform on the surface."""
+        light = self.stored.light()
+        if self.follows_texture:
+            uv = self.strategy.sample_position(u, active)
+            a, b = light.from_uv(uv)
+        else:
+            a, b = light.from_disk(mi.warp.square_to_uniform_disk_concentric(u))
+            uv = light.uv(a, b)
+        return light.point(a, b), mi.Normal3f(light.normal), uv
+
+    def pdf_position(self, uv: mi.Point2f) -> mi.Float:
+        """Density per area of `sample_position`."""
+        light = self.stored.light()
+        if not self.follows_texture:
+            return dr.rcp(light.area)
+        return self.strategy.texture_density(uv) / light.area
+
+
+def _draw_nothing(u):
+    zero, origin = mi.Float(0), mi.Point3f(0)
+    dark = mi.UnpolarizedSpectrum(zero)
+    return origin, mi.Normal3f(zero), mi.Point2f(zero), mi.Vector3f(zero), zero, zero, dark
+
+
+def _no_density(d):
+    return mi.Float(0)

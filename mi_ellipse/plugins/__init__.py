@@ -1,0 +1,1 @@
+"""The shape `ellipse` and the emitter `ellipticalarea` of scene files."""

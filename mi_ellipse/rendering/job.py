@@ -1,0 +1,217 @@
+"""A render as a value: it can be compared, stored, and sent to another process."""
+
+# Types such as `mi.Scene` exist only once a variant is set.
+from __future__ import annotations
+
+import dataclasses
+import gc
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from pathlib import Path
+
+import mitsuba as mi
+
+from . import passes, provenance
+from .passes import Progress, Rendering, Timing
+from .scene import ParsedScene, instantiate, parse_scene
+
+__all__ = ["Parameters", "Plan", "RenderJob", "Rendering", "Stage", "Timing"]
+
+MAX_SEED = 2**32 - 1
+
+
+class Parameters(Mapping[str, str]):
+    """Values for the parameters of a scene; they cannot change, so a job can be hashed."""
+
+    def __init__(self, values: Mapping[str, str] | None = None):
+        self._values = dict(values or {})
+
+    def __getitem__(self, name: str) -> str:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __hash__(self) -> int:
+        return hash(frozenset(self._values.items()))
+
+    def __repr__(self) -> str:
+        return repr(self._values)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a job will be rendered."""
+
+    sizes: tuple[int, ...]  # samples per pixel of each pass
+    film_size: tuple[int, int]  # width and height in pixels, of the part that is rendered
+    loses_stratification: bool  # the passes are noisier together than a single one
+
+    @property
+    def spp(self) -> int:
+        """Samples per pixel that will be taken."""
+        return sum(self.sizes)
+
+
+@dataclass(frozen=True)
+class RenderJob:
+    """
+    What to render.
+
+    In a :class:`~mi_ellipse.rendering.executor.LocalExecutor`, a job finds the scene that the job
+    before has left there, if it needs the same. Elsewhere it loads the scene for itself and frees
+    it in the end. Either way, the variant that was set before is set again afterwards.
+
+    Raises
+    ------
+    ValueError
+        If `spp` or `seed` is impossible.
+    """
+
+    scene: Path  # XML file
+    parameters: Mapping[str, str] = dataclasses.field(default_factory=Parameters)
+    variant: str = "llvm_ad_rgb"
+    sampling: str | None = None  # of every `ellipticalarea`; None: as the scene says
+    spp: int | None = None  # samples per pixel; None: the scene's own number
+    seed: int = 0
+    # Render once beforehand, unless a job has done so since the scene was loaded. It compiles the
+    # kernel, which is the same for every number of samples.
+    warm_up: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scene", Path(self.scene))
+        object.__setattr__(self, "parameters", Parameters(self.parameters))
+        if self.spp is not None and self.spp < 1:
+            raise ValueError(f"spp={self.spp}: a picture needs at least 1 sample per pixel")
+        if not 0 <= self.seed <= MAX_SEED:
+            raise ValueError(f"seed={self.seed}: a seed lies from 0 to {MAX_SEED}")
+
+    def plan(self) -> Plan:
+        """Load the scene, if it is not there yet, and tell how the job will be rendered."""
+        with _staged(self) as loaded:
+            sizes = passes.plan_passes(loaded.scene, self.spp)
+            width, height = loaded.scene.sensors()[0].film().crop_size()
+            loses = passes.loses_stratification(loaded.scene, len(sizes))
+            return Plan(sizes, (int(width), int(height)), loses)
+
+    def run(self, progress: Progress | None = None) -> Rendering:
+        """
+        Render; errors are those of :func:`mi_ellipse.rendering.scene.load_scene` and of Mitsuba.
+
+        Parameters
+        ----------
+        progress
+            Called after each pass with the number of passes done and their total.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the scene names a file that does not exist.
+        """
+        with _staged(self) as loaded:
+            if self.warm_up and loaded.warm_up is None:
+                loaded.warm_up = passes.render(loaded.scene, self.spp, self.seed).timing
+            rendering = passes.render(loaded.scene, self.spp, self.seed, progress)
+            return dataclasses.replace(
+                rendering,
+                warm_up=loaded.warm_up if self.warm_up else None,
+                scene_digest=loaded.digest,
+            )
+
+
+# ---- The loaded scene ----
+
+
+@dataclass
+class _Loaded:
+    """A scene in memory."""
+
+    key: tuple[Path, Mapping[str, str], str, str | None]
+    stamps: dict[Path, tuple[int, int]]  # time of the last change and size of its files
+    digest: str
+    scene: mi.Scene
+    warm_up: Timing | None = None
+
+
+class Stage:
+    """
+    Hold the scene of the last job for the next one.
+
+    There is one scene at a time: every living lamp is part of every render, and slows it down. The
+    old scene is freed before the next one is loaded. A scene whose files have changed is loaded
+    anew.
+    """
+
+    def __init__(self) -> None:
+        self._loaded: _Loaded | None = None
+
+    @contextmanager
+    def open(self) -> Iterator[None]:
+        """Make the jobs of this thread use this stage; the scene stays after the block."""
+        token = _current.set(self)
+        try:
+            yield
+        finally:
+            _current.reset(token)
+
+    def clear(self) -> None:
+        """Free the scene."""
+        if self._loaded is not None:
+            del self._loaded.scene  # The job that is about to end may hold the rest.
+            self._loaded = None
+            gc.collect()
+
+    def load(self, job: RenderJob) -> _Loaded:
+        """Return the scene of a job, under the variant that is set."""
+        key = (job.scene.resolve(), job.parameters, job.variant, job.sampling)
+        loaded = self._loaded
+        if loaded is None or loaded.key != key or loaded.stamps != _stamps(loaded.stamps):
+            loaded = None
+            self.clear()
+            parsed = parse_scene(job.scene, job.parameters)
+            stamps = _stamps(_files(parsed))
+            digest = provenance.parsed_digest(parsed)
+            loaded = _Loaded(key, stamps, digest, instantiate(parsed, job.sampling))
+            self._loaded = loaded
+        return loaded
+
+
+_current: ContextVar[Stage | None] = ContextVar("stage", default=None)
+
+
+@contextmanager
+def _staged(job: RenderJob) -> Iterator[_Loaded]:
+    """Give the loaded scene of a job, and set its variant meanwhile."""
+    stage = _current.get()
+    before = mi.variant()
+    mi.set_variant(job.variant)
+    try:
+        if stage is not None:
+            yield stage.load(job)
+        else:
+            own = Stage()
+            try:
+                yield own.load(job)
+            finally:
+                own.clear()
+    finally:
+        if before is not None:
+            mi.set_variant(before)
+
+
+def _files(parsed: ParsedScene) -> list[Path]:
+    return [*parsed.scene_files, *(file for _, file in parsed.named_files())]
+
+
+def _stamps(files: list[Path] | dict[Path, tuple[int, int]]) -> dict[Path, tuple[int, int]]:
+    """Return when files were last changed, and their sizes; a missing file has neither."""
+    stamps = {}
+    for file in files:
+        status = file.stat() if file.exists() else None
+        stamps[file] = (status.st_mtime_ns, status.st_size) if status else (0, 0)
+    return stamps

@@ -1,0 +1,5 @@
+"""Draw the figures of a comparison."""
+
+from ..figures import write_figures
+
+__all__ = ["write_figures"]

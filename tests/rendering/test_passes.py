@@ -1,0 +1,71 @@
+"""Renders in one pass and in several."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from commands import samples
+from mi_ellipse.rendering import passes
+from mi_ellipse.rendering.scene import load_scene
+
+pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
+
+
+@pytest.mark.parametrize(
+    ("sampler", "spp", "limit", "expected"),
+    [
+        ("independent", 4096, passes.MAX_SAMPLES_PER_PASS, (4096,)),
+        ("independent", 100, samples(100), (100,)),
+        ("independent", 101, samples(100), (51, 50)),
+        ("independent", 7, samples(2) + 1, (2, 2, 2, 1)),
+        ("independent", None, samples(3), (2, 2)),
+        ("stratified", 5, samples(100), (9,)),
+        ("stratified", 50, samples(30), (25, 25)),
+    ],
+)
+def test_plan_passes(scene_file, sampler, spp, limit, expected):
+    scene = load_scene(scene_file, {"sampler": sampler})
+    assert passes.plan_passes(scene, spp, limit) == expected
+
+
+def test_plan_passes_refuses_a_film_beyond_the_limit(scene_file):
+    with pytest.raises(ValueError, match="more than 191 samples"):
+        passes.plan_passes(load_scene(scene_file), 1, samples(1) - 1)
+
+
+def test_passes_average_to_renders_of_mitsuba_and_are_recorded_once(scene_file, monkeypatch):
+    frozen = []
+    freeze = dr.freeze
+    monkeypatch.setattr(dr, "freeze", lambda f: frozen.append(freeze(f)) or frozen[-1])
+    scene = load_scene(scene_file)
+    calls = []
+    rendering = passes.render(scene, 15, 5, lambda *call: calls.append(call), samples(4))
+
+    assert calls == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert (rendering.spp, rendering.passes) == (15, 4)
+    # One for 4, 4, 4, a second one where a lamp met its shape in the first, one for the 3.
+    assert frozen[0].n_recordings <= 3
+
+    seeds = passes._pass_seeds(5, 4)
+    assert len(set(seeds)) == 4
+    expected = np.average(
+        [mi.render(scene, spp=n, seed=s).numpy() for n, s in zip((4, 4, 4, 3), seeds, strict=True)],
+        axis=0,
+        weights=(4, 4, 4, 3),
+    )
+    np.testing.assert_allclose(rendering.image, expected, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_spectral", "llvm_ad_mono"])
+def test_passes_in_other_variants(scene_file, variant):
+    mi.set_variant(variant)
+    scene = load_scene(scene_file)
+    rendering = passes.render(scene, 256, max_samples=samples(64))
+    assert rendering.passes == 4
+    whole = mi.render(scene, spp=256).numpy()
+    assert rendering.image.mean() == pytest.approx(whole.mean(), rel=0.02)
+
+
+def test_single_pass_is_not_recorded(scene_file, monkeypatch):
+    monkeypatch.setattr(dr, "freeze", lambda _: pytest.fail("recorded a single pass"))
+    assert passes.render(load_scene(scene_file), 4).passes == 1
