@@ -33,7 +33,7 @@ DOCS = Path(__file__).resolve().parent.parent / "docs"
 
 ONE_SIDED = "projected_solid_angle_one_sided"
 UNIFORM = "solid_angle"
-CONTENDERS = {name: strategy() for name, strategy in STRATEGIES.items()}
+CONTENDERS = {name: entry.make() for name, entry in STRATEGIES.items()}
 
 # Their weights have no bound, and a peak that no set of draws resolves: their second moment is
 # integrated over directions drawn by `solid_angle` instead, ∫ f²/p dω, where it is smooth.
@@ -56,6 +56,7 @@ class Draws:
         light, sample = index // samples, index % samples
         self.ellipse = dr.gather(planar.Ellipse, planar.from_transform(to_world), light)
         self.normal = dr.gather(mi.Normal3f, mi.Normal3f(lights.normal.astype(np.float32)), light)
+        self.view = self.ellipse.seen_from(mi.Point3f(0))
         # Hammersley's points
         self.u = mi.Point2f(
             (mi.Float(sample) + 0.5) / samples,
@@ -85,12 +86,12 @@ def weight_moments(strategy, draws: Draws, heavy_tailed: bool) -> dict[str, np.n
         lambda value, op=op: draws.per_light(op, value)
         for op in (dr.ReduceOp.Add, dr.ReduceOp.Min, dr.ReduceOp.Max)
     )
-    record = strategy.prepare(draws.ellipse, mi.Point3f(0), draws.normal)
+    record = strategy.prepare(draws.view, draws.normal)
     direction, pdf, valid = strategy.sample(record, draws.u)
     cosine = dr.select(valid & (pdf > 0), draws.cosine(direction), 0)
 
     even = CONTENDERS[UNIFORM]
-    even_record = even.prepare(draws.ellipse, mi.Point3f(0), draws.normal)
+    even_record = even.prepare(draws.view, draws.normal)
     even_direction, even_pdf, _ = even.sample(even_record, draws.u)
     even_cosine = draws.cosine(even_direction)
     pdf_there = strategy.pdf(record, even_direction)
@@ -124,7 +125,7 @@ def weight_moments(strategy, draws: Draws, heavy_tailed: bool) -> dict[str, np.n
 
 def density_agreement(strategy, draws: Draws) -> np.ndarray:
     """Error of the density recomputed from the single-precision world direction of a draw."""
-    record = strategy.prepare(draws.ellipse, mi.Point3f(0), draws.normal)
+    record = strategy.prepare(draws.view, draws.normal)
     direction, pdf, valid = strategy.sample(record, draws.u)
     world = draws.ellipse.to_world(direction)
     dr.eval(world)
@@ -214,7 +215,7 @@ def _unit_kernel(light, reference, normal, u):
 
 
 def _sample_kernel(strategy, light, reference, normal, u):
-    record = strategy.prepare(light, reference, normal)
+    record = strategy.prepare(light.seen_from(reference), normal)
     direction, pdf, valid = strategy.sample(record, u)
     weight = dr.maximum(dr.dot(direction, light.to_light(normal)), 0) / pdf
     return dr.select(valid & (pdf > 0), weight, 0)
@@ -222,7 +223,7 @@ def _sample_kernel(strategy, light, reference, normal, u):
 
 def _density_kernel(strategy, light, reference, normal, u):
     direction = light.to_light(mi.warp.square_to_uniform_sphere(u))
-    return strategy.pdf(strategy.prepare(light, reference, normal), direction)
+    return strategy.pdf(strategy.prepare(light.seen_from(reference), normal), direction)
 
 
 def measure_cost(rounds: int) -> tuple[dict, float]:
@@ -285,15 +286,6 @@ def print_table(result: dict) -> None:
             print(f"  {name:34}" + "".join(f"{'-' if v != v else f'{v:.3g}':>10}" for v in values))
 
 
-COLOURS = {
-    "area": "#7f7f7f",
-    "rejection": "#b8860b",
-    "solid_angle": "#0b6fb8",
-    "projected_solid_angle": "#c1272d",
-    ONE_SIDED: "#e8836b",
-    "tangent_disk": "#7a4fa3",
-    "concentric": "#2e8b57",
-}
 PANELS = [
     ("far", "variance_mean", "far"),
     ("near", "variance_mean", "near"),
@@ -330,11 +322,11 @@ def plot(result: dict, path: Path) -> None:
         margin = max(0.12 * (high - low), 0.75 - 0.5 * (high - low), 0.15)
         label_y = _label_positions(y, 0.055 * (high - low + 2 * margin))
         for name, value, at in zip(names, y, label_y, strict=True):
-            x = result["cost"][name]["sample"]
-            ax.plot(x, value, "o", ms=6, color=COLOURS[name], mec="white", mew=0.7, zorder=3)
-            ax.plot([x, 34], [value, at], lw=0.5, color=COLOURS[name], alpha=0.6, zorder=1)
+            x, colour = result["cost"][name]["sample"], STRATEGIES[name].colour
+            ax.plot(x, value, "o", ms=6, color=colour, mec="white", mew=0.7, zorder=3)
+            ax.plot([x, 34], [value, at], lw=0.5, color=colour, alpha=0.6, zorder=1)
             label = name.replace("projected_solid_angle", "projected")
-            ax.text(36, at, label, color=COLOURS[name], va="center", size=7)
+            ax.text(36, at, label, color=colour, va="center", size=7)
         ax.set(xscale="log", yscale="log", xlim=(0.8, 30), title=title)
         ax.set_ylim(10 ** (low - margin), 10 ** (high + margin))
         ax.set_xticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
