@@ -108,7 +108,7 @@ class Gallery:
         return RenderJob(
             self.scene_file,
             self.parameters,
-            mi.variant(),
+            str(mi.variant()),
             task.sampling,
             task.spp,
             task.seed,
@@ -123,7 +123,7 @@ def settings(scene_file: Path, parameters: Mapping[str, str]) -> dict[str, str]:
     """Return what two pictures of a scene must have in common to be compared."""
     return {
         "scene_digest": provenance.scene_digest(scene_file, parameters),
-        "variant": mi.variant(),
+        "variant": str(mi.variant()),
         **provenance.versions(),
     }
 

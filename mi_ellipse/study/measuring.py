@@ -129,12 +129,12 @@ class _Known:
         self._values: dict[str, float] = (
             json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
         )
-        self._of_reference = hashlib.sha256(np.ascontiguousarray(reference))
+        self._of_reference = hashlib.sha256(np.ascontiguousarray(reference).data)
 
     def value(self, metric: str, pair: Pair) -> float:
         """Return the value of a metric for a picture."""
         digest = self._of_reference.copy()
-        digest.update(np.ascontiguousarray(pair.image))
+        digest.update(np.ascontiguousarray(pair.image).data)
         name = f"{metric} {digest.hexdigest()}"
         if name not in self._values:
             self._values[name] = METRICS[metric].function(pair)

@@ -66,9 +66,12 @@ class _Halves(Pair):
     """
 
     def __init__(self, half_1: ArrayLike, half_2: ArrayLike):
-        half_1 = np.asarray(half_1, dtype=np.float64)
-        super().__init__((half_1 + half_2) / 2, (half_1 + half_2) / 2)
-        self.difference = (half_1 - half_2) / 2
+        one, two = np.asarray(half_1, dtype=np.float64), np.asarray(half_2, dtype=np.float64)
+        super().__init__((one + two) / 2, (one + two) / 2)
+        self.difference = (one - two) / 2
+
+
+Measure = Callable[[Pair], float]
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ class Metric:
     label: str  # in figures and reports
     squared: bool  # it falls like a variance, as 1 / samples, and not like its root
     note: str  # what it is, for a reader of the report
-    function: Callable[[Pair], float]
+    function: Measure
     by_difference: bool = True  # made of differences and the reference alone, see `_Halves`
     slow: bool = False  # takes seconds, so that its values are kept between two runs
     drawn: bool = False  # has curves of its own
@@ -89,10 +92,12 @@ class Metric:
 METRICS: dict[str, Metric] = {}
 
 
-def register(name: str, label: str, squared: bool, note: str, **options: bool) -> Callable:
+def register(
+    name: str, label: str, squared: bool, note: str, **options: bool
+) -> Callable[[Measure], Measure]:
     """Enter a function of a :class:`Pair` under a name; `options` are further fields."""
 
-    def enter(function: Callable[[Pair], float]) -> Callable[[Pair], float]:
+    def enter(function: Measure) -> Measure:
         METRICS[name] = Metric(name, label, squared, note, function, **options)
         return function
 

@@ -86,7 +86,7 @@ class _Half:
 
     @property
     def image(self) -> Image:
-        return np.float32(self.total / self.spp)
+        return np.asarray(self.total / self.spp, dtype=np.float32)
 
 
 def render_reference(
@@ -141,7 +141,7 @@ def render_reference(
         if done:
             say(f"Reference: continued from {done} of {2 * target} spp")
         progress(done, 2 * target)
-        job = RenderJob(scene_file, parameters, mi.variant())
+        job = RenderJob(scene_file, parameters, str(mi.variant()))
         with LocalExecutor() as local:
             where = executor or local
             passes = list(_plan(halves, job, target, samples_per_pass, where))

@@ -119,10 +119,9 @@ def match_samples(seconds: float, spp: Sequence[int], measured: Sequence[float])
         Samples per pixel and the seconds that they took. A line is fitted to them: part of the
         time is the same for any number of samples. From a single pair, time is proportional.
     """
-    spp, measured = np.array(spp, dtype=float), np.array(measured, dtype=float)
     slope, offset = measured[-1] / spp[-1], 0.0
     if len(spp) > 1:
-        fitted = np.polyfit(spp, measured, 1, w=1 / measured)
+        fitted = np.polyfit(spp, measured, 1, w=1 / np.array(measured, dtype=float))
         if fitted[0] > 0:  # not so where the samples take no time worth mentioning
             slope, offset = fitted
     return max(1, round((seconds - offset) / slope))

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, NullLocator
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..metrics import METRICS
 from ..results import Comparison
@@ -109,7 +109,7 @@ def _plot(
     sampling: str,
     x: Sequence[float],
     y: Sequence[float],
-    bars: Sequence[float] | None = None,
+    bars: ArrayLike | None = None,
 ) -> None:
     colour, marker = style_of(sampling)
     axes.errorbar(
@@ -127,7 +127,7 @@ def _plot(
     )
 
 
-def _label_lines(axes: Axes, labels: list[tuple[float, float, str, str]]) -> None:
+def _label_lines(axes: Axes, labels: Sequence[tuple[float, float, str, str]]) -> None:
     """
     Write each line's name beside its end, moved apart where names would overlap.
 
