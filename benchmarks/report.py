@@ -11,6 +11,7 @@ from mi_ellipse.sampling import STRATEGIES
 from .lamps import SPP as LAMPS_SPP
 from .render_time import SCENES
 from .scenes import BUILT_IN, MESH
+from .text import table
 
 DOCS = Path(__file__).parent.parent / "docs"
 
@@ -51,13 +52,6 @@ def write() -> None:
     if {"render_time", "error"} <= measured.keys():
         _plot(measured["render_time"], measured["error"])
     (DOCS / "benchmarks.md").write_text("\n".join(parts), encoding="utf-8")
-
-
-def table(head: str, rows: list[list[str]]) -> str:
-    """A Markdown table; the names of its columns are separated by ``|``."""
-    columns = head.split(" | ")
-    lines = [columns, ["---"] * len(columns), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
 def _ratio(ratio: dict) -> str:
