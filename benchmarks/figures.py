@@ -107,8 +107,8 @@ def readme_bounds() -> str:
     return (
         "An exact sampler of the projected solid angle, if it took no longer than `disk` + `area`,"
         f" would reach {exact[0]} and {exact[1]} with light samples. In other scenes, a render"
-        f" takes {ranges[0]} times as long with `{CHOICE[0]}`, and {ranges[1]} times with `{CHOICE[1]}`."
-        f" To trace 100 lamps takes {lamps[0]:.2f} and {lamps[1]:.2f} s a render.\n"
+        f" takes {ranges[0]} times as long with `{CHOICE[0]}`, and {ranges[1]} times with"
+        f" `{CHOICE[1]}`. To trace 100 lamps takes {lamps[0]:.2f} and {lamps[1]:.2f} s a render.\n"
     )
 
 
