@@ -108,7 +108,7 @@ class Gallery:
         return RenderJob(
             self.scene_file,
             self.parameters,
-            str(mi.variant()),
+            variant(),
             task.sampling,
             task.spp,
             task.seed,
@@ -119,11 +119,19 @@ class Gallery:
         return self.folder / f"{task.name}.exr"
 
 
+def variant() -> str:
+    """Return Mitsuba's variant; a ValueError if none is set."""
+    current = mi.variant()
+    if current is None:
+        raise ValueError("no variant of Mitsuba is set: call mi.set_variant first")
+    return str(current)
+
+
 def settings(scene_file: Path, parameters: Mapping[str, str]) -> dict[str, str]:
     """Return what two pictures of a scene must have in common to be compared."""
     return {
         "scene_digest": provenance.scene_digest(scene_file, parameters),
-        "variant": str(mi.variant()),
+        "variant": variant(),
         **provenance.versions(),
     }
 

@@ -66,20 +66,26 @@ def measure(
 
 
 def summarize(
-    kind: str, key: Key, first: Key, pictures: Pictures, values: Mapping[Key, Values]
-) -> Measurement:
+    kind: str, keys: Sequence[Key], pictures: Pictures, values: Mapping[Key, Values]
+) -> list[Measurement]:
     """
-    Gather what is known of a strategy at some samples.
+    Gather what is known of strategies that are compared with one another.
 
     Parameters
     ----------
     kind
         ``EQUAL_SAMPLES`` or ``EQUAL_TIME``.
-    key, first
-        The strategy, and the first one that it is compared with.
+    keys
+        The strategies and their samples; all are compared with the first one.
     pictures, values
         All pictures, and their errors.
     """
+    return [_summarize(kind, key, keys[0], pictures, values) for key in keys]
+
+
+def _summarize(
+    kind: str, key: Key, first: Key, pictures: Pictures, values: Mapping[Key, Values]
+) -> Measurement:
     group = pictures[key]
     efficiencies = {
         name: efficiency(
@@ -129,12 +135,12 @@ class _Known:
         self._values: dict[str, float] = (
             json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
         )
-        self._of_reference = hashlib.sha256(np.ascontiguousarray(reference).data)
+        self._of_reference = hashlib.sha256(reference.tobytes())
 
     def value(self, metric: str, pair: Pair) -> float:
         """Return the value of a metric for a picture."""
         digest = self._of_reference.copy()
-        digest.update(np.ascontiguousarray(pair.image).data)
+        digest.update(pair.image.tobytes())
         name = f"{metric} {digest.hexdigest()}"
         if name not in self._values:
             self._values[name] = METRICS[metric].function(pair)

@@ -66,12 +66,12 @@ class _Halves(Pair):
     """
 
     def __init__(self, half_1: ArrayLike, half_2: ArrayLike):
-        one, two = np.asarray(half_1, dtype=np.float64), np.asarray(half_2, dtype=np.float64)
-        super().__init__((one + two) / 2, (one + two) / 2)
-        self.difference = (one - two) / 2
+        first, second = (np.asarray(half, dtype=np.float64) for half in (half_1, half_2))
+        super().__init__((first + second) / 2, (first + second) / 2)
+        self.difference = (first - second) / 2
 
 
-Measure = Callable[[Pair], float]
+Function = Callable[[Pair], float]
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Metric:
     label: str  # in figures and reports
     squared: bool  # it falls like a variance, as 1 / samples, and not like its root
     note: str  # what it is, for a reader of the report
-    function: Measure
+    function: Function
     by_difference: bool = True  # made of differences and the reference alone, see `_Halves`
     slow: bool = False  # takes seconds, so that its values are kept between two runs
     drawn: bool = False  # has curves of its own
@@ -94,10 +94,10 @@ METRICS: dict[str, Metric] = {}
 
 def register(
     name: str, label: str, squared: bool, note: str, **options: bool
-) -> Callable[[Measure], Measure]:
+) -> Callable[[Function], Function]:
     """Enter a function of a :class:`Pair` under a name; `options` are further fields."""
 
-    def enter(function: Measure) -> Measure:
+    def enter(function: Function) -> Function:
         METRICS[name] = Metric(name, label, squared, note, function, **options)
         return function
 

@@ -8,7 +8,6 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +16,7 @@ from ..files.images import Image
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import RenderJob
 from .album import Album
-from .gallery import colour, settings
+from .gallery import colour, settings, variant
 from .metrics import flip, reference_errors
 
 SEED = 20170419  # the halves' passes take their seeds from it
@@ -141,7 +140,7 @@ def render_reference(
         if done:
             say(f"Reference: continued from {done} of {2 * target} spp")
         progress(done, 2 * target)
-        job = RenderJob(scene_file, parameters, str(mi.variant()))
+        job = RenderJob(scene_file, parameters, variant())
         with LocalExecutor() as local:
             where = executor or local
             passes = list(_plan(halves, job, target, samples_per_pass, where))

@@ -88,18 +88,18 @@ def compare(
         album=album,
     )
     values = measure(folder, pictures, reference, album, progress)
-    shown: list[Measurement] = []
-    for kind in (EQUAL_SAMPLES, EQUAL_TIME):
-        for count in spp:
-            keys = [(name, count) for name in strategies]
-            if kind == EQUAL_TIME:
-                keys = [matches[key] for key in keys]
-            shown += (summarize(kind, key, keys[0], pictures, values) for key in keys)
+    measurements: list[Measurement] = []
+    for count in spp:
+        keys = [(name, count) for name in strategies]
+        measurements += summarize(EQUAL_SAMPLES, keys, pictures, values)
+    for count in spp:
+        keys = [matches[name, count] for name in strategies]
+        measurements += summarize(EQUAL_TIME, keys, pictures, values)
 
     about = settings(scene_file, parameters)
     comparison = Comparison(
         scene_file, parameters, folder, strategies, spp, seeds, about, machine(), reference,
-        tuple(shown), album,
+        tuple(measurements), album,
     )  # fmt: skip
     results.write(comparison)
     _write_pngs(comparison)
@@ -121,7 +121,7 @@ def match_samples(seconds: float, spp: Sequence[int], measured: Sequence[float])
     """
     slope, offset = measured[-1] / spp[-1], 0.0
     if len(spp) > 1:
-        fitted = np.polyfit(spp, measured, 1, w=1 / np.array(measured, dtype=float))
+        fitted = np.polyfit(spp, measured, 1, w=1 / np.array(measured))
         if fitted[0] > 0:  # not so where the samples take no time worth mentioning
             slope, offset = fitted
     return max(1, round((seconds - offset) / slope))

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from ...files import atomic
 from ..results import EQUAL_SAMPLES, EQUAL_TIME, Comparison
-from .curves import curves
+from .curves import draw_curves
 from .grid import picture_grid
 from .insets import Inset, check_inside, choose_insets
 from .style import TEXT, style_of
@@ -55,7 +56,7 @@ def write_figures(comparison: Comparison, insets: Sequence[Inset] | None = None)
             figure = picture_grid(comparison, kind, spp, insets)
             _save(figure, file, file.with_suffix(".pdf"))
             grids[kind, spp] = file
-    for name, figure in curves(comparison).items():
+    for name, figure in draw_curves(comparison).items():
         file = folder / f"{name}.svg"
         _save(figure, file, file.with_suffix(".png"), file.with_suffix(".pdf"))
         lines[name] = file
@@ -66,6 +67,6 @@ def _save(figure: Figure, *files: Path) -> None:
     for file in files:
         # Each SVG has its own salt: names of clip paths must differ within a page.
         style = TEXT | {"svg.hashsalt": file.stem}
-        about = {"metadata": {"Date": None}} if file.suffix == ".svg" else {}
+        about: dict[str, Any] = {"metadata": {"Date": None}} if file.suffix == ".svg" else {}
         with mpl.rc_context(style), atomic.replacement(file) as temporary:
             figure.savefig(temporary, dpi=300, **about)

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, NullLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..metrics import METRICS
 from ..results import Comparison
@@ -20,7 +20,7 @@ from .style import COLUMN_WIDTH, TEXT, label_of, plain, style_of, thousands
 Places = NDArray[np.float64]
 
 
-def curves(comparison: Comparison) -> dict[str, Figure]:
+def draw_curves(comparison: Comparison) -> dict[str, Figure]:
     """Return the curves of time and error by name; none for a single number of samples."""
     if len(comparison.spp) == 1:
         return {}
@@ -76,7 +76,7 @@ def error_curve(comparison: Comparison, metric: str, against: str) -> Figure:
             x = [one.spp if against == "samples" else one.seconds for one in series]
             y = [one.errors[metric].mean for one in series]
             bars = [one.errors[metric].standard_error for one in series]
-            _plot(axes, sampling, x, y, np.nan_to_num(bars))
+            _plot(axes, sampling, x, y, np.nan_to_num(bars).tolist())
             labels.append((x[-1], y[-1], sampling, f"slope {_slope(x, y)}"))
         _mark_reference(axes, comparison.reference.errors.get(metric))
         _label_lines(axes, labels)
@@ -109,7 +109,7 @@ def _plot(
     sampling: str,
     x: Sequence[float],
     y: Sequence[float],
-    bars: ArrayLike | None = None,
+    bars: Sequence[float] | None = None,
 ) -> None:
     colour, marker = style_of(sampling)
     axes.errorbar(

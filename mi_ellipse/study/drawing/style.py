@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from textwrap import wrap
+from typing import Any
 
 from ...sampling import STRATEGIES
 
 COLUMN_WIDTH = 3.4  # inches, of a page with two columns
 PAGE_WIDTH = 7.1
-TEXT = {
+TEXT: dict[Any, Any] = {
     "font.size": 7.5,
     "axes.titlesize": 7.5,
     "axes.labelsize": 7.5,
@@ -44,7 +45,7 @@ def wrap_lines(title: str, inches: float) -> str:
     return "\n".join(part for line in title.split("\n") for part in wrap(line, characters))
 
 
-def plain(value: float, _position: int | None = None) -> str:
+def plain(value: float, _position: float | None = None) -> str:
     """Return a number in short, for the ticks of an axis."""
     return f"{value:g}"
 
