@@ -127,7 +127,7 @@ def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
 
 def of_ellipse(
     position: mi.Vector3d,
-    ratio: mi.Float64,
+    root: mi.Float,
     ratio32: mi.Float,
     inv_ratio: mi.Float,
     eccentricity2: mi.Float,
@@ -143,12 +143,11 @@ def of_ellipse(
     position
         Vector from the reference point to the centre along the light's ``(ex, ey, normal)``, in
         units of the longer semi-axis.
-    ratio, ratio32, inv_ratio, eccentricity2
-        Shorter over longer semi-axis, in double and single precision; its reciprocal; one minus
-        its square.
+    root
+        `confocal_root` of the position.
+    ratio32, inv_ratio, eccentricity2
+        Shorter over longer semi-axis; its reciprocal; one minus its square.
     """
-    root = confocal_root(position, ratio)
-
     centre = mi.Vector3f(position)
     xc, yc, zc = centre
     zero, one, half = mi.Float(0), mi.Float(1), mi.Float(0.5)

@@ -41,23 +41,33 @@ class View:
         The light.
     position
         Vector from the point to the centre, as `Ellipse.light_coordinates` returns it.
+    root
+        The confocal root of the position, if it is known already.
     """
 
-    def __init__(self, light: Ellipse, position: mi.Vector3d):
+    def __init__(self, light: Ellipse, position: mi.Vector3d, root: mi.Float | None = None):
         self.light = light
         self.position = position
+        self._root = root
 
     @cached_property
     def centre(self) -> mi.Vector3f:
         """The position in single precision."""
         return mi.Vector3f(self.position)
 
+    @property
+    def root(self) -> mi.Float:
+        """The confocal root, on which the whole cone rests."""
+        if self._root is None:
+            self._root = cone.confocal_root(self.position, self.light.ratio)
+        return self._root
+
     @cached_property
     def cone(self) -> Cone:
         """The cone of directions that meet the light."""
         light = self.light
         return cone.of_ellipse(
-            self.position, light.ratio, light.ratio32, light.inv_ratio, light.eccentricity2
+            self.position, self.root, light.ratio32, light.inv_ratio, light.eccentricity2
         )
 
     @property
@@ -121,9 +131,9 @@ class Ellipse(PrincipalAxes):
         """Return what a lamp keeps."""
         return StoredEllipse(**(_fields(self) | {"centre": mi.Point3f(self.centre)}))
 
-    def seen_from(self, point: mi.Point3f) -> View:
-        """Return the view of the light from a world-space point."""
-        return View(self, self.light_coordinates(point))
+    def seen_from(self, point: mi.Point3f, root: mi.Float | None = None) -> View:
+        """Return the view of the light from a world-space point; `root` if it is known already."""
+        return View(self, self.light_coordinates(point), root)
 
     @cached_property
     def normal(self) -> mi.Vector3d:
@@ -177,6 +187,11 @@ class Ellipse(PrincipalAxes):
         ex, ey, _ = self.axes32
         height = dr.dot(mi.Vector3d(v), self.normal)  # Cancels at grazing angles
         return mi.Vector3f(dr.dot(v, ex), dr.dot(v, ey), height)
+
+    def to_light_single(self, v: mi.Vector3f) -> mi.Vector3f:
+        """`to_light` in single precision."""
+        ex, ey, normal = self.axes32
+        return mi.Vector3f(dr.dot(v, ex), dr.dot(v, ey), dr.dot(v, normal))
 
     def to_world(self, v: mi.Vector3f) -> mi.Vector3f:
         """World-space vector from its components along ``(ex, ey, normal)``."""

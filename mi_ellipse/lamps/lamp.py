@@ -13,6 +13,7 @@ from ..geometry import ellipse
 from ..geometry.ellipse import StoredEllipse
 from ..geometry.tracing import branch
 from ..sampling import find
+from ..sampling.strategy import Strategy
 from .textured import Textured, follows_texture
 
 # Distances below this part of the coordinates are nothing but their rounding. A coordinate in
@@ -62,9 +63,9 @@ class Lamp:
 
     def place(self, to_world: mi.AffineTransform4f) -> None:
         """Take the geometry from the transform of the unit disk, as values of their own."""
-        stored = ellipse.from_transform(dr.detach(to_world)).stored()
-        dr.make_opaque(stored)
-        self.stored = stored
+        self.to_world = dr.detach(to_world)
+        self.stored = ellipse.from_transform(self.to_world).stored()
+        dr.make_opaque(self.stored)
 
     def follow_radiance(self) -> None:
         """Choose how to draw for the radiance as it is now."""
@@ -91,39 +92,19 @@ class Lamp:
             return self.stored.light().seen_from(point).lit
 
     def _draw(self, it, u):
-        """`Draw` of one trace of the branch.
-
-        Integrators skip draws of no density; a NaN would survive a multiplication by zero.
-        """
+        """`Draw` of one trace of the branch."""
         with dr.suspend_grad(), self._without_lookup():
-            light = self.stored.light()
-            view = light.seen_from(it.p)
-            record = self.strategy.prepare(view, it.n)
-            d, pdf, valid = self.strategy.sample(record, u)
-            zero = mi.Float(0)
-            valid &= view.lit & (pdf > zero) & (pdf < dr.inf)
-            hit = light.hit(view, d)
-            # From a point of the lamp itself the point drawn may be this same one. The direction
-            # that `prb` and others take between the two is then 0/0.
-            valid &= hit.distance > RESOLUTION * dr.max(dr.abs(it.p))
-            pdf = dr.select(valid, pdf, zero)
-            inv_pdf = dr.select(valid, dr.rcp(pdf), zero)
-
+            drawn = p, n, uv, _, _, pdf = draw_from(self.strategy, self.stored, None, it, u)
+            inv_pdf = dr.select(pdf > 0, dr.rcp(pdf), 0)
             si = dr.zeros(mi.SurfaceInteraction3f)
-            si.p, si.n, si.uv = hit.p, hit.n, hit.uv
+            si.p, si.n, si.uv = p, n, uv
             si.wavelengths = it.wavelengths
-            d = light.to_world(d)
-        weight = self.radiance.eval(si, valid) * inv_pdf
-        return hit.p, hit.n, hit.uv, d, hit.distance, pdf, weight
+        return *drawn, self.radiance.eval(si, pdf > 0) * inv_pdf
 
     def _density(self, it, d):
         """Density of one trace of the branch."""
         with dr.suspend_grad(), self._without_lookup():
-            light = self.stored.light()
-            view = light.seen_from(it.p)
-            record = self.strategy.prepare(view, it.n)
-            pdf = self.strategy.pdf(record, light.to_light(d))
-            return dr.select(view.lit & dr.isfinite(pdf), pdf, 0)
+            return density_of(self.strategy, self.stored, None, it, d)
 
     def _without_lookup(self):
         """Let Dr.Jit not look for each new operation among all living ones.
@@ -154,6 +135,69 @@ class Lamp:
         if not self.follows_texture:
             return dr.rcp(light.area)
         return self.strategy.texture_density(uv) / light.area
+
+
+def draw_from(
+    strategy: Strategy,
+    stored: StoredEllipse,
+    root: mi.Float | None,
+    it: mi.Interaction3f,
+    u: mi.Point2f,
+) -> tuple[mi.Point3f, mi.Normal3f, mi.Point2f, mi.Vector3f, mi.Float, mi.Float]:
+    """Draw a point of a light from a reference point.
+
+    Parameters
+    ----------
+    strategy
+        How to draw.
+    stored
+        The light.
+    root
+        `View.root`, if it is known already.
+    it
+        Reference point and normal of the surface there.
+    u
+        Two random numbers.
+
+    Returns
+    -------
+    p, n, uv
+        Point of the light, normal and parameterisation there.
+    direction
+        In world space.
+    distance
+        From the reference point.
+    pdf
+        Density per solid angle; zero for a draw without light. Integrators skip such a draw. A NaN
+        would survive a multiplication by zero.
+    """
+    light = stored.light()
+    view = light.seen_from(it.p, root)
+    record = strategy.prepare(view, it.n)
+    d, pdf, valid = strategy.sample(record, u)
+    zero = mi.Float(0)
+    valid &= view.lit & (pdf > zero) & (pdf < dr.inf)
+    hit = light.hit(view, d)
+    # From a point of the lamp itself the point drawn may be this same one. The direction that `prb`
+    # and others take between the two is then 0/0.
+    valid &= hit.distance > RESOLUTION * dr.max(dr.abs(it.p))
+    pdf = dr.select(valid, pdf, zero)
+    return hit.p, hit.n, hit.uv, light.to_world(d), hit.distance, pdf
+
+
+def density_of(
+    strategy: Strategy,
+    stored: StoredEllipse,
+    root: mi.Float | None,
+    it: mi.Interaction3f,
+    direction: mi.Vector3f,
+) -> mi.Float:
+    """Density with which `draw_from` draws a world-space direction that meets the light."""
+    light = stored.light()
+    view = light.seen_from(it.p, root)
+    record = strategy.prepare(view, it.n)
+    pdf = strategy.pdf(record, light.to_light(direction))
+    return dr.select(view.lit & dr.isfinite(pdf), pdf, 0)
 
 
 def _draw_nothing(u):

@@ -7,6 +7,7 @@ from importlib import import_module
 import drjit as dr
 import mitsuba as mi
 
+from ..lamps.group import Group
 from ..lamps.lamp import Lamp
 from ..sampling import DEFAULT, STRATEGIES
 from ..system import llvm
@@ -37,6 +38,7 @@ def define(variant: str) -> type:
             llvm.check()
             self.lamp = Lamp(*_parameters(props))
             self.attachment = Attachment(self.lamp)
+            self.group: Group | None = None  # See `grouping`
             self._follow_radiance()
 
         # ---- Parameters ------------------------------------------------------------------------
@@ -51,6 +53,8 @@ def define(variant: str) -> type:
                 self.attachment.attach(self.get_shape())
             self.lamp.follow_radiance()
             self._follow_radiance()
+            if self.group is not None:
+                self.group.refresh(self.lamp, float(self.sampling_weight()))
 
         def _follow_radiance(self) -> None:
             self.m_flags = mi.EmitterFlags.Surface
@@ -66,6 +70,8 @@ def define(variant: str) -> type:
             ds = mi.DirectionSample3f()
             if not self._attached():
                 return dr.zeros(mi.DirectionSample3f), dr.zeros(mi.Spectrum)
+            if self.group is not None:
+                return self.group.sample_direction(self.lamp, it, sample, active)
             drawn = self.lamp.draw(it, sample)
             ds.p, ds.n, ds.uv = drawn.p, drawn.n, drawn.uv
             ds.d, ds.dist, ds.time = drawn.d, drawn.distance, it.time
@@ -75,7 +81,11 @@ def define(variant: str) -> type:
             return ds, mi.depolarizer(dr.select(active, drawn.weight, 0))
 
         def pdf_direction(self, it, ds, active=True):
-            return self.lamp.density(it, ds.d, active) if self._attached() else mi.Float(0)
+            if not self._attached():
+                return mi.Float(0)
+            if self.group is not None:
+                return self.group.pdf_direction(self.lamp, it, ds.d, active)
+            return self.lamp.density(it, ds.d, active)
 
         def eval_direction(self, it, ds, active=True):
             if not self._attached():
