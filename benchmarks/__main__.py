@@ -1,4 +1,7 @@
-"""Run the benchmarks: ``python -m benchmarks [NAME]… [--pairs N]``; all of them by default."""
+"""Run the benchmarks: ``python -m benchmarks [NAME]… [--pairs N]``; all of them by default.
+
+``python -m benchmarks figures`` measures nothing and writes the figures of the pages anew.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,8 @@ from inspect import signature
 from pathlib import Path
 
 import mitsuba as mi
+
+from . import figures
 
 DATA = Path(__file__).parent.parent / "docs" / "data"
 NAMES = (
@@ -21,18 +26,27 @@ NAMES = (
     "first_frame",
     "growth",
 )
+FIGURES = "figures"
 
 
 def main() -> None:
     """Measure, print, and keep the figures in `docs/data`."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks", description=__doc__.splitlines()[0]
+    )
     parser.add_argument(
-        "names", nargs="*", metavar="NAME", help=f"{', '.join(NAMES)}; all by default"
+        "names",
+        nargs="*",
+        metavar="NAME",
+        help=f"{', '.join(NAMES)}; all by default; figures: no measurement, the pages anew",
     )
     parser.add_argument(
         "--pairs", type=int, help="timed pairs, where a benchmark has them; 40 by default"
     )
     arguments = parser.parse_args()
+    if arguments.names == [FIGURES]:
+        figures.write()
+        return
     if unknown := set(arguments.names) - set(NAMES):
         parser.error(f"unknown: {', '.join(sorted(unknown))}; choose from {', '.join(NAMES)}")
 
@@ -43,6 +57,7 @@ def main() -> None:
         print(f"---- {name}: {harness.machine()} ----", flush=True)
         if name == "accuracy":
             accuracy.main([])
+            figures.write()
             continue
         run = import_module(f".{name}", __package__).run
         timed = "pairs" in signature(run).parameters and arguments.pairs
@@ -51,6 +66,7 @@ def main() -> None:
         results = {"machine": harness.machine(), name: results}
         (DATA / f"{name}.json").write_text(json.dumps(results, indent=1) + "\n")
         report.write()
+        figures.write()
 
 
 if __name__ == "__main__":

@@ -12,227 +12,32 @@ forms (or, below a horizon, a contour integral) that share no code with the pack
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import drjit as dr
 import matplotlib.pyplot as plt
 import mitsuba as mi
 import numpy as np
-from scipy.integrate import quad
-from scipy.special import elliprj
 
 mi.set_variant("llvm_ad_rgb")
 
-from mi_ellipse import ellipse as planar  # noqa: E402
+from mi_ellipse.geometry import ellipse as planar  # noqa: E402
 from mi_ellipse.sampling import STRATEGIES  # noqa: E402
+
+from oracles.lights import CLASSES, SEED, STRADDLING, STRADDLING_CLASSES, Lights, make_lights  # noqa: E402
 
 from .harness import machine  # noqa: E402
 
-SEED = 2017
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 
 ONE_SIDED = "projected_solid_angle_one_sided"
 UNIFORM = "solid_angle"
-CONTENDERS = {name: strategy() for name, strategy in STRATEGIES.items()}
+CONTENDERS = {name: entry.make() for name, entry in STRATEGIES.items()}
 
 # Their weights have no bound, and a peak that no set of draws resolves: their second moment is
 # integrated over directions drawn by `solid_angle` instead, ∫ f²/p dω, where it is smooth.
 HEAVY_TAILED = {"area", "rejection", "tangent_disk"}
-
-
-# ---- Lights ------------------------------------------------------------------------------------
-# The longer semi-axis is 1. A class gives the shorter one and the light's centre along the light's
-# frame, seen from the reference point; orientation in the world and normal follow below.
-
-
-def _log_uniform(rng, low, high, n):
-    return np.exp(rng.uniform(np.log(low), np.log(high), n))
-
-
-def _in_direction(rng, distance):
-    """Centres at these distances, directions uniform on the hemisphere before the light."""
-    z, azimuth = rng.uniform(0, 1, distance.size), rng.uniform(0, 2 * np.pi, distance.size)
-    r = np.sqrt(1 - z * z)
-    return distance * np.array([r * np.cos(azimuth), r * np.sin(azimuth), z])
-
-
-def _above_light(rng, ratio, height):
-    """Centres seen from points at these heights, uniform over the light's surface."""
-    r, azimuth = np.sqrt(rng.uniform(0, 1, height.size)), rng.uniform(0, 2 * np.pi, height.size)
-    return np.array([r * np.cos(azimuth), ratio * r * np.sin(azimuth), height])
-
-
-def far(rng, n):
-    """10 to 1000 semi-axes away."""
-    return _log_uniform(rng, 0.1, 1, n), _in_direction(rng, _log_uniform(rng, 10, 1e3, n))
-
-
-def near(rng, n):
-    """0.5 to 5 semi-axes away."""
-    return _log_uniform(rng, 0.1, 1, n), _in_direction(rng, _log_uniform(rng, 0.5, 5, n))
-
-
-def very_near(rng, n):
-    """0.01 to 0.3 shorter semi-axes above the surface."""
-    ratio = _log_uniform(rng, 0.1, 1, n)
-    return ratio, _above_light(rng, ratio, ratio * _log_uniform(rng, 1e-2, 0.3, n))
-
-
-def needle(rng, n):
-    """100 to 10 000 times as long as wide, 0.5 to 10 semi-axes away."""
-    return _log_uniform(rng, 1e-4, 1e-2, n), _in_direction(rng, _log_uniform(rng, 0.5, 10, n))
-
-
-def near_needle(rng, n):
-    """The same, 0.05 to 0.5 semi-axes away."""
-    return _log_uniform(rng, 1e-4, 1e-2, n), _in_direction(rng, _log_uniform(rng, 0.05, 0.5, n))
-
-
-def in_plane(rng, n):
-    """Edge-on: 1.1 to 10 semi-axes from the centre, 1e-6 to 1e-2 above the light's plane."""
-    azimuth, distance = rng.uniform(0, 2 * np.pi, n), _log_uniform(rng, 1.1, 10, n)
-    height = _log_uniform(rng, 1e-6, 1e-2, n)
-    centre = np.array([distance * np.cos(azimuth), distance * np.sin(azimuth), height])
-    return _log_uniform(rng, 0.1, 1, n), centre
-
-
-def fills_hemisphere(rng, n):
-    """1e-4 to 0.01 shorter semi-axes above the surface."""
-    ratio = _log_uniform(rng, 0.1, 1, n)
-    return ratio, _above_light(rng, ratio, ratio * _log_uniform(rng, 1e-4, 1e-2, n))
-
-
-CLASSES: dict[str, Callable] = {
-    "far": far,
-    "near": near,
-    "very near": very_near,
-    "needle": needle,
-    "in plane": in_plane,
-    "fills hemisphere": fills_hemisphere,
-    "near needle": near_needle,
-}
-STRADDLING = "straddling"  # Normals whose horizon divides the light; otherwise it is wholly above
-STRADDLING_CLASSES = ("far", "near", "needle", "in plane")  # The row that pools these
-THINNEST_PART = 1e-2  # of the solid angle, on either side of that horizon
-
-
-@dataclass
-class Lights:
-    """Lights seen from the origin, each with a surface normal, and their oracles."""
-
-    to_world: np.ndarray  # 4×4×n
-    normal: np.ndarray  # 3×n, the surface's
-    solid_angle: np.ndarray
-    irradiance: np.ndarray  # 2×n: above and below the horizon of the normal
-
-
-def _tangent_ellipse(u, w, c):
-    """Axes (as columns) and half-angle tangents of the cone of one light, from its dual cone."""
-    dual = np.outer(u, u) + np.outer(w, w) - np.outer(c, c)
-    (negative, _, largest), axes = np.linalg.eigh(dual)
-    determinant = np.linalg.det(np.stack([u, w, c]))
-    middle = determinant**2 / (-negative * largest)
-    z = axes[:, 0] * np.sign(axes[:, 0] @ c)
-    y = np.cross(z, axes[:, 2])
-    tangents = np.sqrt(np.array([largest, middle]) / -negative)
-    return np.stack([axes[:, 2], y, z], axis=1), tangents
-
-
-def _normal_above(rng, axes, tangents):
-    """Cosine-distributed about the cone's axis over all normals with the light wholly above.
-
-    Those normals form the dual cone, whose orthographic semi-axes are the half-angles' cosines.
-    """
-    r, azimuth = np.sqrt(rng.uniform(0, 0.999)), rng.uniform(0, 2 * np.pi)
-    xy = r * np.array([np.cos(azimuth), np.sin(azimuth)]) / np.sqrt(1 + tangents**2)
-    return axes @ np.array([*xy, np.sqrt(1 - xy @ xy)])
-
-
-def _normal_straddling(rng, axes, tangents):
-    """Perpendicular to a direction that is uniform on the tangent ellipse."""
-    while True:
-        r, azimuth = np.sqrt(rng.uniform(0, 1)), rng.uniform(0, 2 * np.pi)
-        d = np.array([*(tangents * r * [np.cos(azimuth), np.sin(azimuth)]), 1])
-        normal = np.cross(d, rng.normal(size=3))
-        normal /= np.linalg.norm(normal)
-        # The part above, by directions even on the sphere of the orthographic ellipse
-        i = np.arange(4096) + 0.5
-        r, azimuth = np.sqrt(i / 4096), i * np.pi * (3 - np.sqrt(5))
-        xy = (tangents / np.sqrt(1 + tangents**2))[:, None] * r * [np.cos(azimuth), np.sin(azimuth)]
-        z = np.sqrt(1 - (xy**2).sum(0))
-        above = np.average(normal @ [*xy, z] > 0, weights=1 / z)
-        if THINNEST_PART < above < 1 - THINNEST_PART:
-            return axes @ normal
-
-
-def _irradiance_above(normal, tangents):
-    """Irradiance of the part above the horizon, by quadrature over chords parallel to it.
-
-    With the tangent ellipse scaled to the unit disk and turned so that the horizon is ``x = h``,
-    it is ``ta tb |g| ∫ (x - h) ∫ (1 + |X|²)⁻² dy dx``; the inner integral is elementary.
-    `normal` is along the axes of the cone.
-    """
-    g = tangents * normal[:2]
-    scale = np.hypot(*g)
-    along = tangents * g / scale
-    across = tangents * np.array([-g[1], g[0]]) / scale
-    horizon = -normal[2] / scale
-    cc = across @ across
-
-    def integrand(t):
-        x, y = np.sin(t), np.cos(t)
-        a, b = 1 + x * x * (along @ along), 2 * x * (along @ across)
-        root = 2 * np.sqrt(cc + (x * tangents[0] * tangents[1]) ** 2)  # √(4 a cc - b²)
-
-        def primitive(y):  # of (a + b y + cc y²)⁻²
-            slope = 2 * cc * y + b
-            return (
-                slope / (a + y * (b + cc * y)) + 4 * cc / root * np.arctan(slope / root)
-            ) / root**2
-
-        return (x - horizon) * (primitive(y) - primitive(-y)) * y
-
-    # For large cones the integrand peaks about the axis.
-    start = np.arcsin(max(horizon, -1))
-    peak = np.logspace(-8, 0, 17)
-    ends = np.unique(np.clip([*-peak, 0, *peak, start, np.pi / 2], start, np.pi / 2))
-    total = sum(
-        quad(integrand, *piece, epsabs=0, epsrel=1e-9, limit=200)[0]
-        for piece in itertools.pairwise(ends)
-    )
-    return tangents[0] * tangents[1] * scale * total
-
-
-def make_lights(name: str, n: int, straddling: bool) -> Lights:
-    """Random lights of a class; each class and kind of normal has its own published seed."""
-    rng = np.random.default_rng([SEED, list(CLASSES).index(name), straddling])
-    ratios, centres = CLASSES[name](rng, n)
-    to_world, normals, irradiances = np.zeros((4, 4, n)), np.zeros((3, n)), np.zeros((2, n))
-    solid_angles = np.zeros(n)
-    for i in range(n):
-        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-        c, u, w = turn @ centres[:, i], turn[:, 0], ratios[i] * turn[:, 1]
-        axes, tangents = _tangent_ellipse(u, w, c)
-        normal = (_normal_straddling if straddling else _normal_above)(rng, axes, tangents)
-        # The package sees this normal and point in single precision.
-        normal = normal.astype(np.float32).astype(float)
-
-        local = axes.T @ normal
-        qa, qb = 1 + tangents**2
-        area = tangents[0] * tangents[1]
-        if straddling:
-            irradiances[:, i] = [_irradiance_above(side * local, tangents) for side in (1, -1)]
-        else:
-            irradiances[0, i] = np.pi * area / np.sqrt(qa * qb) * local[2]
-        solid_angles[i] = 4 / 3 * area * elliprj(0, qa, qb, 1)
-        normals[:, i] = normal
-        to_world[:3, :, i] = np.stack([u, w, turn[:, 2], c], axis=1)
-        to_world[3, 3, i] = 1
-    return Lights(to_world, normals, solid_angles, irradiances)
 
 
 # ---- Accuracy ----------------------------------------------------------------------------------
@@ -251,6 +56,7 @@ class Draws:
         light, sample = index // samples, index % samples
         self.ellipse = dr.gather(planar.Ellipse, planar.from_transform(to_world), light)
         self.normal = dr.gather(mi.Normal3f, mi.Normal3f(lights.normal.astype(np.float32)), light)
+        self.view = self.ellipse.seen_from(mi.Point3f(0))
         # Hammersley's points
         self.u = mi.Point2f(
             (mi.Float(sample) + 0.5) / samples,
@@ -280,12 +86,12 @@ def weight_moments(strategy, draws: Draws, heavy_tailed: bool) -> dict[str, np.n
         lambda value, op=op: draws.per_light(op, value)
         for op in (dr.ReduceOp.Add, dr.ReduceOp.Min, dr.ReduceOp.Max)
     )
-    record = strategy.prepare(draws.ellipse, mi.Point3f(0), draws.normal)
+    record = strategy.prepare(draws.view, draws.normal)
     direction, pdf, valid = strategy.sample(record, draws.u)
     cosine = dr.select(valid & (pdf > 0), draws.cosine(direction), 0)
 
     even = CONTENDERS[UNIFORM]
-    even_record = even.prepare(draws.ellipse, mi.Point3f(0), draws.normal)
+    even_record = even.prepare(draws.view, draws.normal)
     even_direction, even_pdf, _ = even.sample(even_record, draws.u)
     even_cosine = draws.cosine(even_direction)
     pdf_there = strategy.pdf(record, even_direction)
@@ -319,7 +125,7 @@ def weight_moments(strategy, draws: Draws, heavy_tailed: bool) -> dict[str, np.n
 
 def density_agreement(strategy, draws: Draws) -> np.ndarray:
     """Error of the density recomputed from the single-precision world direction of a draw."""
-    record = strategy.prepare(draws.ellipse, mi.Point3f(0), draws.normal)
+    record = strategy.prepare(draws.view, draws.normal)
     direction, pdf, valid = strategy.sample(record, draws.u)
     world = draws.ellipse.to_world(direction)
     dr.eval(world)
@@ -409,7 +215,7 @@ def _unit_kernel(light, reference, normal, u):
 
 
 def _sample_kernel(strategy, light, reference, normal, u):
-    record = strategy.prepare(light, reference, normal)
+    record = strategy.prepare(light.seen_from(reference), normal)
     direction, pdf, valid = strategy.sample(record, u)
     weight = dr.maximum(dr.dot(direction, light.to_light(normal)), 0) / pdf
     return dr.select(valid & (pdf > 0), weight, 0)
@@ -417,7 +223,7 @@ def _sample_kernel(strategy, light, reference, normal, u):
 
 def _density_kernel(strategy, light, reference, normal, u):
     direction = light.to_light(mi.warp.square_to_uniform_sphere(u))
-    return strategy.pdf(strategy.prepare(light, reference, normal), direction)
+    return strategy.pdf(strategy.prepare(light.seen_from(reference), normal), direction)
 
 
 def measure_cost(rounds: int) -> tuple[dict, float]:
@@ -480,15 +286,6 @@ def print_table(result: dict) -> None:
             print(f"  {name:34}" + "".join(f"{'-' if v != v else f'{v:.3g}':>10}" for v in values))
 
 
-COLOURS = {
-    "area": "#7f7f7f",
-    "rejection": "#b8860b",
-    "solid_angle": "#0b6fb8",
-    "projected_solid_angle": "#c1272d",
-    ONE_SIDED: "#e8836b",
-    "tangent_disk": "#7a4fa3",
-    "concentric": "#2e8b57",
-}
 PANELS = [
     ("far", "variance_mean", "far"),
     ("near", "variance_mean", "near"),
@@ -525,11 +322,11 @@ def plot(result: dict, path: Path) -> None:
         margin = max(0.12 * (high - low), 0.75 - 0.5 * (high - low), 0.15)
         label_y = _label_positions(y, 0.055 * (high - low + 2 * margin))
         for name, value, at in zip(names, y, label_y, strict=True):
-            x = result["cost"][name]["sample"]
-            ax.plot(x, value, "o", ms=6, color=COLOURS[name], mec="white", mew=0.7, zorder=3)
-            ax.plot([x, 34], [value, at], lw=0.5, color=COLOURS[name], alpha=0.6, zorder=1)
+            x, colour = result["cost"][name]["sample"], STRATEGIES[name].colour
+            ax.plot(x, value, "o", ms=6, color=colour, mec="white", mew=0.7, zorder=3)
+            ax.plot([x, 34], [value, at], lw=0.5, color=colour, alpha=0.6, zorder=1)
             label = name.replace("projected_solid_angle", "projected")
-            ax.text(36, at, label, color=COLOURS[name], va="center", size=7)
+            ax.text(36, at, label, color=colour, va="center", size=7)
         ax.set(xscale="log", yscale="log", xlim=(0.8, 30), title=title)
         ax.set_ylim(10 ** (low - margin), 10 ** (high + margin))
         ax.set_xticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])

@@ -6,11 +6,12 @@ import json
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+from mi_ellipse.sampling import STRATEGIES
 
-from .accuracy import COLOURS
 from .lamps import SPP as LAMPS_SPP
 from .render_time import SCENES
 from .scenes import BUILT_IN, MESH
+from .text import table
 
 DOCS = Path(__file__).parent.parent / "docs"
 
@@ -51,13 +52,6 @@ def write() -> None:
     if {"render_time", "error"} <= measured.keys():
         _plot(measured["render_time"], measured["error"])
     (DOCS / "benchmarks.md").write_text("\n".join(parts), encoding="utf-8")
-
-
-def table(head: str, rows: list[list[str]]) -> str:
-    """A Markdown table; the names of its columns are separated by ``|``."""
-    columns = head.split(" | ")
-    lines = [columns, ["---"] * len(columns), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
 def _ratio(ratio: dict) -> str:
@@ -270,7 +264,8 @@ def _plot(render_time: dict, error: dict) -> None:
         below = [ratio["median"] - ratio["low"] for _, ratio in found]
         above = [ratio["high"] - ratio["median"] for _, ratio in found]
         places = [place for place, _ in found]
-        style = {"color": COLOURS.get(kind, "black"), "label": kind}
+        colour = STRATEGIES[kind].colour if kind in STRATEGIES else "black"
+        style = {"color": colour, "label": kind}
         times.errorbar(places, median, (below, above), fmt="o", ms=4, capsize=2, **style)
     times.axhline(1, color="grey", lw=0.8)
     times.set_xticks(range(len(render_time)), list(render_time), rotation=20, ha="right")
@@ -282,7 +277,7 @@ def _plot(render_time: dict, error: dict) -> None:
     for k, kind in enumerate(kinds):
         places = [case + 0.15 * (k - 1.5) for case in range(len(cases))]
         values = [error["heights"][h][label][kind]["gain_trimmed"] for h, label in cases]
-        gains.plot(places, values, "o", ms=5, color=COLOURS[kind], label=kind)
+        gains.plot(places, values, "o", ms=5, color=STRATEGIES[kind].colour, label=kind)
     gains.axhline(1, color="grey", lw=0.8)
     gains.set_yscale("log")
     gains.set_xticks(range(len(cases)), [f"{label}\nlamp at {h}" for h, label in cases])

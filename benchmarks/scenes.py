@@ -8,6 +8,7 @@ from pathlib import Path
 
 import mi_ellipse
 import mitsuba as mi
+from mi_ellipse.plugins.names import AREA, ELLIPSE, ELLIPTICAL_AREA
 from mi_ellipse.rendering.scene import load_scene
 from mi_ellipse.sampling import STRATEGIES
 
@@ -105,26 +106,31 @@ def scene_file(name: str, kind: str, **parameters) -> mi.Scene:
 
     config = mi.parser.ParserConfig(mi.variant())
     state = mi.parser.parse_file(config, str(path), **parameters)
-    folder = tempfile.TemporaryDirectory()
-    for node in state.nodes:
-        props = node.props
-        if props.plugin_name() == "ellipticalarea":
-            props.set_plugin_name("area")
-            props.remove_property("sampling")
-        elif props.plugin_name() == "ellipse":
-            axes = [props.get(f"semi_axis_{axis}", 1.0) for axis in "xy"]
-            for axis in "xy":
-                props.remove_property(f"semi_axis_{axis}")
-            to_world = props.get("to_world", mi.ScalarTransform4d())
-            to_world = to_world @ mi.ScalarTransform4d().scale([*axes, 1])
-            meshes = Path(folder.name)
-            _replace_shape(props, kind, to_world, meshes / f"{len(list(meshes.iterdir()))}.ply")
-    resolver = mi.file_resolver()
-    resolver.prepend(str(SCENES))
-    mi.parser.transform_all(config, state)
-    scene = mi.parser.instantiate(config, state)
-    folder.cleanup()
-    return scene
+    with tempfile.TemporaryDirectory() as folder:
+        for count, node in enumerate(state.nodes):
+            _replace_lamp(node.props, kind, Path(folder) / f"{count}.ply")
+        before = mi.file_resolver()
+        resolver = mi.FileResolver(before)
+        resolver.prepend(str(SCENES))
+        mi.set_file_resolver(resolver)
+        try:
+            mi.parser.transform_all(config, state)
+            return mi.parser.instantiate(config, state)
+        finally:
+            mi.set_file_resolver(before)
+
+
+def _replace_lamp(props: mi.Properties, kind: str, mesh_file: Path) -> None:
+    """Make a part of a lamp of this package one of Mitsuba's own."""
+    if props.plugin_name() == ELLIPTICAL_AREA:
+        props.set_plugin_name(AREA)
+        del props["sampling"]
+    elif props.plugin_name() == ELLIPSE:
+        axes = [props.get(f"semi_axis_{axis}", 1.0) for axis in "xy"]
+        for axis in "xy":
+            del props[f"semi_axis_{axis}"]
+        to_world = props.get("to_world", mi.ScalarTransform4d())
+        _replace_shape(props, kind, to_world @ mi.ScalarTransform4d().scale([*axes, 1]), mesh_file)
 
 
 def _replace_shape(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import mi_ellipse  # noqa: F401  # before Mitsuba: it chooses the LLVM
 import mitsuba as mi
-from mi_ellipse.files.atomic import replacement
+from mi_ellipse.files.images import read_exr, read_metadata, write_exr
 from mi_ellipse.study.reference import render_reference
 from rich.progress import Progress
 
@@ -54,14 +54,12 @@ def main() -> None:
                 lambda done, _, task=task: progress.update(task, completed=done),
                 progress.print,
             )
-            exact = mi.Bitmap(str(reference.file))
-            half = exact.convert(component_format=mi.Struct.Type.Float16)
-            for key in ("scene", "parameters", "sampling", "spp", "seed", "mitsuba"):
-                if key in exact.metadata():
-                    half.metadata()[key] = exact.metadata()[key]
-            half.metadata()["rmse"] = f"{reference.errors['rmse']:.3g}"
-            with replacement(FOLDER / f"{name}.exr") as temporary:
-                half.write(str(temporary))
+            metadata = read_metadata(reference.file) | {
+                "scene": file,
+                "rmse": f"{reference.errors['rmse']:.3g}",
+            }
+            image = read_exr(reference.file)
+            write_exr(FOLDER / f"{name}.exr", image, metadata, half=True)
             progress.print(f"{name}: its own RMSE is {reference.errors['rmse']:.2g}")
 
 

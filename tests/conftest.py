@@ -7,6 +7,8 @@ import pytest
 from commands import LAMP, write_scene
 from mi_ellipse.geometry import ellipse
 
+pytest_plugins = ["comparisons"]
+
 # All variants of the wheel that can run without a GPU
 VARIANTS = (
     "llvm_ad_rgb",

@@ -4,7 +4,17 @@ import mi_ellipse
 import mitsuba as mi
 import numpy as np
 import pytest
-from oracle import MIRROR, SHEAR, cone, irradiance, rotation, seen_from, solid_angle, translation
+
+from oracles.ellipse import (
+    MIRROR,
+    SHEAR,
+    cone,
+    irradiance,
+    rotation,
+    seen_from,
+    solid_angle,
+    translation,
+)
 
 LIGHT = translation(0.3, 0.2, 0.7) @ rotation([1, 0.2, 0], 30) @ SHEAR @ np.diag([1.5, 0.4, 1, 1])
 

@@ -36,8 +36,8 @@ def draw(
     from ..study import drawing, report
 
     console.print("Drawing the figures and the report")
-    drawing.write_figures(comparison, insets)
-    page = report.write_report(comparison, insets)
+    figures = drawing.write_figures(comparison, insets)
+    page = report.write_report(comparison, insets, figures)
     for warning in comparison.warnings():
         console.print(f"WARNING: {warning}", style="bold red")
     return page

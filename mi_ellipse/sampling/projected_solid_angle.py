@@ -40,6 +40,16 @@ AT_HORIZON = 0.25
 END_NODE = 0.12
 OUTER_NODE = 0.8
 
+# Floors and limits of single precision (derivations/floors.py)
+LEAST_LEFT = 1e-7  # Part of `_profile`'s range that is left at a rim, where the density falls to 0
+LEAST_Q = 1e-7  # q at a horizon, where the density can fall to 0
+LEAST_QUANTILE = 1e-9  # In single precision it acts as 0
+LARGEST_QUANTILE = 1 - 6e-8  # The largest number below 1
+INWARDS = 3e-7  # Part of the width of a cone that is left out at its rims
+LARGEST_TANGENT2 = 1e16  # Beyond a tangent of 1e8 the half-angle is 90° to single precision
+LEAST_TILT2 = 1e-12  # Squared sine between normal and axis below which every pole will do
+AT_POLE = 1e-18  # Cosine of the latitude of a pole; its inverse square is finite
+
 
 class Record(NamedTuple):
     """What is computed once per reference point."""
@@ -183,7 +193,7 @@ def _profile(q: mi.Float, divided: mi.Mask, at_horizon: float) -> tuple[mi.Float
     """
     inv = 1 / (1 + at_horizon)
     w = dr.select(divided, q * (q + at_horizon) * inv, q)
-    g = dr.sqrt(dr.maximum(1 - w, 1e-7))
+    g = dr.sqrt(dr.maximum(1 - w, LEAST_LEFT))
     return 1.5 * g * dr.select(divided, (2 * q + at_horizon) * inv, 1), 1 - g * g * g
 
 
@@ -230,7 +240,7 @@ def _side_density(cut: Slices, side: Side, tau: mi.Float) -> mi.Float:
     inv = dr.rcp(side.extent)
     x = (tau - side.start) * inv
     density, u = _profile(
-        dr.clip(dr.select(divided, x, dr.abs(x)), 1e-7, 1), divided, cut.at_horizon
+        dr.clip(dr.select(divided, x, dr.abs(x)), LEAST_Q, 1), divided, cut.at_horizon
     )
     y = dr.select(divided, 2 * u - 1, dr.mulsign(u, x))  # -1, 0 and 1 where the factors are
     outer = dr.select(y < 0, side.s0, side.s2)
@@ -248,7 +258,8 @@ def _draw_on_side(cut: Slices, side: Side, u: mi.Float) -> mi.Float:
     y = dr.select(left, -y, y)
 
     divided = cut.straddling
-    quantile = dr.clip(dr.select(divided, dr.fma(0.5, y, 0.5), dr.abs(y)), 1e-9, 1 - 6e-8)
+    quantile = dr.select(divided, dr.fma(0.5, y, 0.5), dr.abs(y))
+    quantile = dr.clip(quantile, LEAST_QUANTILE, LARGEST_QUANTILE)
     q = _inverse_profile(quantile, divided, cut.at_horizon)
     x = dr.select(left & _not(divided), -q, q)
     return dr.fma(side.extent, x, side.start)
@@ -256,7 +267,7 @@ def _draw_on_side(cut: Slices, side: Side, u: mi.Float) -> mi.Float:
 
 def _within(cut: Slices, eta: mi.Float) -> mi.Float:
     """η in the cone: rounding takes directions out of cones thinner than the spacing of floats."""
-    limit = (1 - 3e-7) * cut.eta_max
+    limit = (1 - INWARDS) * cut.eta_max
     return dr.clip(eta, -limit, limit)
 
 
@@ -287,15 +298,14 @@ def _minor_share(h: mi.Float) -> mi.Float:
 
 def _slices(seen: Cone, n: mi.Vector3f, one_sided: bool) -> Slices:
     """Slices of a cone for a normal in its frame."""
-    # Beyond a tangent of 1e8 the half-angle is 90° to single precision.
-    ta2, tb2 = dr.minimum(seen.ta2, 1e16), dr.minimum(seen.tb2, 1e16)
+    ta2, tb2 = (dr.minimum(t2, LARGEST_TANGENT2) for t2 in (seen.ta2, seen.tb2))
 
     # The normal on the side of the axis
     one = mi.Float(1)
     flipped = n.z < 0
     nz, nm2 = dr.abs(n.z), dr.fma(n.x, n.x, n.y * n.y)
-    tilted = nm2 > 1e-12
-    inv_nm = dr.rsqrt(dr.maximum(nm2, 1e-12))
+    tilted = nm2 > LEAST_TILT2
+    inv_nm = dr.rsqrt(dr.maximum(nm2, LEAST_TILT2))
     nm = nm2 * inv_nm
     inv_nm = dr.select(flipped, -inv_nm, inv_nm)
     m = mi.Vector2f(dr.select(tilted, n.x * inv_nm, one), dr.select(tilted, n.y * inv_nm, 0))
@@ -435,8 +445,8 @@ class ProjectedSolidAngle:
         m = cut.m
         dm, de = dr.fma(m.x, d.x, m.y * d.y), dr.fma(m.x, d.y, -m.y * d.x)
         # The pole itself has no longitude; the floor keeps the squared tangent finite.
-        r = dr.maximum(dr.sqrt(dr.fma(dm, dm, d.z * d.z)), 1e-18)
-        eta = _within(cut, dm / dr.maximum(r + d.z, 1e-18))
+        r = dr.maximum(dr.sqrt(dr.fma(dm, dm, d.z * d.z)), AT_POLE)
+        eta = _within(cut, dm / dr.maximum(r + d.z, AT_POLE))
         minor = cut.straddling & (eta < cut.eta_horizon)
         return _density(cut, _side(cut, minor), minor, eta, _slice(cut, eta), de / r)
 

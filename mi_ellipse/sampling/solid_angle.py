@@ -11,6 +11,16 @@ from ..geometry.cone import Cone
 from ..geometry.ellipse import View
 from .strategy import register
 
+# Sine and cosine of the quarter angle as polynomials of its fraction and of its square: Chebyshev
+# series (derivations/azimuth.py).
+QUARTER_SINE = 0.785398161, -8.07454348e-2, 2.49000696e-3, -3.59543993e-5
+QUARTER_COSINE = 0.999999972, -3.08424253e-1, 1.58499130e-2, -3.18878992e-4
+
+# Coefficients of the angular warp: least largest deviation of the density from uniform over all
+# half-angles (derivations/angular_warp.py).
+WARP_STRENGTH = -1.26, 1.78, 6.17, -2.29
+WARP_PLACE = 1.34, 3.65
+
 
 class Record(NamedTuple):
     """What is computed once per reference point."""
@@ -33,10 +43,10 @@ def _azimuth(u: mi.Float) -> tuple[mi.Float, mi.Float]:
     """
     v = dr.fma(2, u, -1)
     w = v * v
-    s = v * dr.fma(
-        dr.fma(dr.fma(-3.59543993e-5, w, 2.49000696e-3), w, -8.07454348e-2), w, 0.785398161
-    )
-    c = dr.fma(dr.fma(dr.fma(-3.18878992e-4, w, 1.58499130e-2), w, -3.08424253e-1), w, 0.999999972)
+    s0, s1, s2, s3 = QUARTER_SINE
+    c0, c1, c2, c3 = QUARTER_COSINE
+    s = v * dr.fma(dr.fma(dr.fma(s3, w, s2), w, s1), w, s0)
+    c = dr.fma(dr.fma(dr.fma(c3, w, c2), w, c1), w, c0)
     c, s = dr.fma(c, c, -s * s), (c + c) * s
     return dr.fma(c, c, -s * s), (c + c) * s
 
@@ -56,8 +66,10 @@ def _angular_warp(b0: mi.Float, b1: mi.Float) -> tuple[mi.Float, mi.Float]:
     """
     least, one = mi.Float(0.25), mi.Float(1)
     a, b = b0 - least, b1 - least
-    inv_kappa = dr.fma(a - b, dr.fma(a, dr.fma(-1.26, a, 1.78), b * dr.fma(6.17, a, -2.29)), one)
-    rho = one - a * dr.fma(3.65, a, 1.34)
+    k0, k1, k2, k3 = WARP_STRENGTH
+    p0, p1 = WARP_PLACE
+    inv_kappa = dr.fma(a - b, dr.fma(a, dr.fma(k0, a, k1), b * dr.fma(k2, a, k3)), one)
+    rho = one - a * dr.fma(p1, a, p0)
     return inv_kappa, rho
 
 

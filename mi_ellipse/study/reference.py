@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from ..files import atomic, images
+from ..files.images import Image
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import RenderJob
+from .album import Album
+from .gallery import colour, settings, variant
 from .metrics import flip, reference_errors
-from .pictures import colour, read_exr, settings
 
 SEED = 20170419  # the halves' passes take their seeds from it
 
@@ -38,7 +41,7 @@ class _Half:
 
     file: Path
     settings: str
-    total: np.ndarray  # (height, width, 3), float64, each pass times its samples per pixel
+    total: NDArray[np.float64]  # (height, width, 3), each pass times its samples per pixel
     spp: int = 0
     passes: int = 0
 
@@ -66,7 +69,11 @@ class _Half:
             )
         return half
 
-    def save(self) -> None:
+    def add(self, image: Image, spp: int) -> None:
+        """Add a pass, and keep the sum on disk."""
+        self.total = self.total + spp * image.astype(np.float64)
+        self.spp += spp
+        self.passes += 1
         with atomic.replacement(self.file) as temporary:
             np.savez(
                 temporary,
@@ -77,8 +84,8 @@ class _Half:
             )
 
     @property
-    def image(self) -> np.ndarray:
-        return np.float32(self.total / self.spp)
+    def image(self) -> Image:
+        return np.asarray(self.total / self.spp, dtype=np.float32)
 
 
 def render_reference(
@@ -89,6 +96,8 @@ def render_reference(
     progress: Callable[[int, int], None],
     say: Callable[[str], None],
     samples_per_pass: int = SAMPLES_PER_PASS,
+    executor: Executor | None = None,
+    album: Album | None = None,
 ) -> Reference:
     """
     Render the reference of a scene, or what is missing of it, as the scene's integrator says.
@@ -106,6 +115,12 @@ def render_reference(
         Called with the samples per pixel done and their total.
     say
         Called with sentences for the user.
+    samples_per_pass
+        Pixels times samples per pixel of one pass, about.
+    executor
+        Where the passes are rendered; by default in this process. Sums do not depend on it.
+    album
+        Takes the reference, so that it is not read again.
 
     Raises
     ------
@@ -124,62 +139,74 @@ def render_reference(
     else:
         if done:
             say(f"Reference: continued from {done} of {2 * target} spp")
-        _add_passes(halves, scene_file, parameters, target, samples_per_pass, progress)
-    return _write(folder, halves, shared, scene_file, parameters)
+        progress(done, 2 * target)
+        job = RenderJob(scene_file, parameters, variant())
+        with LocalExecutor() as local:
+            where = executor or local
+            passes = list(_plan(halves, job, target, samples_per_pass, where))
+            _add(halves, passes, where, lambda done: progress(done, 2 * target))
+    about = shared | {
+        "scene": str(scene_file),
+        "parameters": json.dumps(dict(parameters)),
+        "sampling": "as in the scene",
+    }
+    return _write(folder, halves, about, album or Album())
 
 
-def _add_passes(
-    halves: list[_Half],
-    scene_file: Path,
-    parameters: Mapping[str, str],
-    target: int,
-    samples_per_pass: int,
-    progress: Callable[[int, int], None],
+# A half, by its index, and a job that adds to it
+_Pass = tuple[int, RenderJob]
+
+
+def _plan(
+    halves: Sequence[_Half], job: RenderJob, target: int, samples_per_pass: int, executor: Executor
+) -> Iterator[_Pass]:
+    """Yield the missing passes, the halves in turn, until each has `target` samples per pixel."""
+    width, height = executor.submit(job.plan).result().film_size
+    size = max(1, samples_per_pass // (width * height))
+    taken: dict[int, int] = {}  # by the samples per pixel asked for; some samplers round up
+    spp, numbers = [half.spp for half in halves], [half.passes for half in halves]
+    while min(spp) < target:
+        index = spp.index(min(spp))
+        asked = min(size, target - spp[index])
+        # The same words come first however many are generated: a seed belongs to its pass.
+        seeds = np.random.SeedSequence([SEED, index]).generate_state(numbers[index] + 1)
+        a_pass = replace(job, spp=asked, seed=int(seeds[-1]))
+        yield index, a_pass
+        if asked not in taken:
+            taken[asked] = executor.submit(a_pass.plan).result().spp
+        spp[index] += taken[asked]
+        numbers[index] += 1
+
+
+def _add(
+    halves: Sequence[_Half],
+    passes: Sequence[_Pass],
+    executor: Executor,
+    progress: Callable[[int], None],
 ) -> None:
-    """Render passes, the halves in turn, until each has `target` samples per pixel."""
-    job = RenderJob(scene_file, parameters, mi.variant())
-    progress(sum(half.spp for half in halves), 2 * target)
-    with LocalExecutor() as executor:
-        width, height = executor.submit(job.plan).result().film_size
-        size = max(1, samples_per_pass // (width * height))
-        while any(half.spp < target for half in halves):
-            index, half = min(enumerate(halves), key=lambda pair: pair[1].spp)
-            # The same words come first however many are generated: a seed belongs to its pass.
-            seeds = np.random.SeedSequence([SEED, index]).generate_state(half.passes + 1)
-            a_pass = replace(job, spp=min(size, target - half.spp), seed=int(seeds[-1]))
-            rendering = executor.submit(a_pass.run).result()
-            image = colour(rendering, f"pass {half.passes} of the reference's half {index + 1}")
-            half.total = half.total + rendering.spp * image.astype(np.float64)
-            half.spp += rendering.spp
-            half.passes += 1
-            half.save()
-            progress(sum(half.spp for half in halves), 2 * target)
+    """Render passes and add them in their order, whichever ends first."""
+    renderings = executor.map(RenderJob.run, [job for _, job in passes])
+    for (index, _), rendering in zip(passes, renderings, strict=True):
+        half = halves[index]
+        image = colour(rendering, f"pass {half.passes} of the reference's half {index + 1}")
+        half.add(image, rendering.spp)
+        progress(sum(half.spp for half in halves))
 
 
-def _write(
-    folder: Path,
-    halves: list[_Half],
-    shared: dict[str, str],
-    scene_file: Path,
-    parameters: Mapping[str, str],
-) -> Reference:
+def _write(folder: Path, halves: list[_Half], about: dict[str, str], album: Album) -> Reference:
     """Write the halves and their mean as pictures, unless they are there already."""
     spp = sum(half.spp for half in halves)
-    image = sum(half.image for half in halves) / np.float32(2)
+    first, second = (half.image for half in halves)
+    image: Image = (first + second) / np.float32(2)
     if not image.any():
         raise ValueError("the reference is black: there is nothing to compare")
 
     file = folder / "reference.exr"
-    if not file.exists() or not np.array_equal(read_exr(file), image):
-        description = shared | {
-            "scene": str(scene_file),
-            "parameters": json.dumps(dict(parameters)),
-            "sampling": "as in the scene",
-        }
-        for i, half in enumerate(halves, start=1):
-            settings_of_half = {"spp": str(half.spp), "seed": f"{SEED}, half {i}"}
-            images.write_exr(folder / f"half_{i}.exr", half.image, description | settings_of_half)
-        images.write_exr(file, image, description | {"spp": str(spp), "seed": str(SEED)})
+    if not file.exists() or not np.array_equal(album.read(file), image):
+        for i, half in enumerate((first, second), start=1):
+            own = {"spp": str(halves[i - 1].spp), "seed": f"{SEED}, half {i}"}
+            images.write_exr(folder / f"half_{i}.exr", half, about | own)
+        images.write_exr(file, image, about | {"spp": str(spp), "seed": str(SEED)})
         images.write_png(file.with_suffix(".png"), image, images.choose_exposure(image))
-    first, second = (half.image for half in halves)
+    album.keep(file, image)
     return Reference(file, spp, reference_errors(first, second), flip(first, second))

@@ -1,25 +1,34 @@
-"""Hold what a comparison found, and write it as tables."""
+"""Hold what a comparison found; write it as tables, and read it back."""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
-from dataclasses import asdict, dataclass
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from ..files import atomic, images
-from .metrics import LABELS, METRICS, SQUARED, Estimate
-from .pictures import Picture, read_exr
+from ..files.images import Image
+from ..rendering.job import Timing
+from .album import Album
+from .gallery import Picture, Task
+from .metrics import METRICS
 from .reference import Reference
+from .statistics import Efficiency, Estimate
 
 EQUAL_SAMPLES = "equal samples"
 EQUAL_TIME = "equal time"
 
 # Beyond this share of a measured error, the reference's own error is no longer negligible.
 TOLERATED_REFERENCE_ERROR = 0.05
+
+# Of `results.json`; to be raised when its entries change.
+FORMAT = 2
 
 
 @dataclass(frozen=True)
@@ -37,7 +46,7 @@ class Measurement:
     tracing_seconds: float
     execution_seconds: float
     compilation_seconds: float  # longest of the warm-ups; zero if Dr.Jit knew the kernel
-    efficiency: dict[str, float]  # metric → 1 / (error · seconds), relative to the first strategy
+    efficiency: dict[str, Efficiency]  # metric → 1 / (error · seconds), relative to the first one
 
 
 @dataclass(frozen=True)
@@ -54,6 +63,7 @@ class Comparison:
     machine: str
     reference: Reference
     measurements: tuple[Measurement, ...]
+    album: Album = field(default_factory=Album, compare=False, repr=False)
 
     def find(self, kind: str, sampling: str, first_spp: int) -> Measurement:
         """Return the measurement of a strategy."""
@@ -72,20 +82,22 @@ class Comparison:
         """Stops that all pictures are shown with, so that they can be compared."""
         return images.choose_exposure(self.reference_image())
 
-    def reference_image(self) -> np.ndarray:
-        return read_exr(self.reference.file)
+    def reference_image(self) -> Image:
+        """Return the reference; it is read once."""
+        return self.album.read(self.reference.file)
 
-    def image(self, measurement: Measurement) -> np.ndarray:
-        """Return the picture of the first seed."""
-        return read_exr(measurement.pictures[0].file)
+    def image(self, measurement: Measurement) -> Image:
+        """Return the picture of the first seed; it is read once."""
+        return self.album.read(measurement.pictures[0].file)
 
     def warnings(self) -> list[str]:
         """Return a sentence if the reference is not good enough for every measured error."""
         own = self.reference.errors
         share, metric, one = max(
             (
-                (own[metric] / one.errors[metric].mean, metric, one)
-                for metric in SQUARED
+                (own[metric.name] / one.errors[metric.name].mean, metric, one)
+                for metric in METRICS.values()
+                if metric.squared and metric.name in own
                 for one in self.measurements
             ),
             key=lambda entry: entry[0],
@@ -93,47 +105,42 @@ class Comparison:
         if share <= TOLERATED_REFERENCE_ERROR:
             return []
         return [
-            f"The reference's own {LABELS[metric]}, {own[metric]:.2g}, is {100 * share:.0f} %"
-            f" of the {one.errors[metric].mean:.2g} measured for {one.sampling} at {one.spp} spp:"
-            f" it needs more samples than its {self.reference.spp}."
+            f"The reference's own {metric.label}, {own[metric.name]:.2g}, is {100 * share:.0f} %"
+            f" of the {one.errors[metric.name].mean:.2g} measured for {one.sampling} at"
+            f" {one.spp} spp: it needs more samples than its {self.reference.spp}."
         ]
 
 
-def write_tables(comparison: Comparison) -> tuple[Path, Path]:
-    """Write ``results.csv``, a row a measurement, and ``results.json``, with every seed."""
+# ---- Writing ----
+
+
+def write(comparison: Comparison) -> tuple[Path, Path]:
+    """
+    Write ``results.csv``, a row a measurement, and ``results.json``, with every seed.
+
+    The second one holds everything that :func:`read` needs. Its paths are relative to the folder.
+    """
     table = io.StringIO(newline="")
     rows = [_row(comparison, measurement) for measurement in comparison.measurements]
     writer = csv.DictWriter(table, rows[0], lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
 
-    document = {
-        "scene": str(comparison.scene_file),
-        "parameters": comparison.parameters,
-        "settings": comparison.settings,
-        "machine": comparison.machine,
-        "seeds": comparison.seeds,
-        "reference": {
-            "file": comparison.reference.file.relative_to(comparison.folder).as_posix(),
-            "spp": comparison.reference.spp,
-            "errors": comparison.reference.errors,
-            "flip_between_halves": comparison.reference.flip_between_halves,
-        },
-        "warnings": comparison.warnings(),
-        "measurements": [_entry(comparison, one) for one in comparison.measurements],
-    }
     files = comparison.folder / "results.csv", comparison.folder / "results.json"
-    texts = table.getvalue(), json.dumps(document, indent=1) + "\n"
-    for file, text in zip(files, texts, strict=True):
-        with atomic.replacement(file) as temporary:
-            temporary.write_text(text)
+    atomic.write_text(files[0], table.getvalue())
+    # JSON knows no NaN: without a second seed there is no standard error and no interval.
+    text = json.dumps(_without_nan(_document(comparison)), indent=1, allow_nan=False)
+    atomic.write_text(files[1], text + "\n")
     return files
 
 
 def _row(comparison: Comparison, measurement: Measurement) -> dict[str, object]:
     row = _summary(measurement)
-    for metric in METRICS:
-        error = measurement.errors[metric]
+    for metric, value in measurement.efficiency.items():
+        row[f"efficiency_{metric}"] = value.value
+        row[f"efficiency_{metric}_low"] = value.low
+        row[f"efficiency_{metric}_high"] = value.high
+    for metric, error in measurement.errors.items():
         row[metric] = error.mean
         row[f"{metric}_standard_error"] = error.standard_error
         if metric in comparison.reference.errors:
@@ -143,24 +150,44 @@ def _row(comparison: Comparison, measurement: Measurement) -> dict[str, object]:
     return row
 
 
+def _document(comparison: Comparison) -> dict[str, object]:
+    reference = comparison.reference
+    return {
+        "format": FORMAT,
+        "scene": _relative(comparison.scene_file, comparison.folder),
+        "parameters": comparison.parameters,
+        "settings": comparison.settings,
+        "machine": comparison.machine,
+        "strategies": comparison.strategies,
+        "spp": comparison.spp,
+        "seeds": comparison.seeds,
+        "reference": {
+            "file": _relative(reference.file, comparison.folder),
+            "spp": reference.spp,
+            "errors": reference.errors,
+            "flip_between_halves": reference.flip_between_halves,
+        },
+        "warnings": comparison.warnings(),
+        "measurements": [_entry(comparison, one) for one in comparison.measurements],
+    }
+
+
 def _entry(comparison: Comparison, measurement: Measurement) -> dict[str, object]:
     pictures = [
         {
-            "file": picture.file.relative_to(comparison.folder).as_posix(),
+            "file": _relative(picture.file, comparison.folder),
             "seed": picture.task.seed,
             "timing": asdict(picture.timing),
             "warm_up": asdict(picture.warm_up),
-            "errors": {metric: measurement.values[metric][i] for metric in METRICS},
+            "errors": {metric: values[i] for metric, values in measurement.values.items()},
         }
         for i, picture in enumerate(measurement.pictures)
     ]
-    # JSON knows no NaN: without a second seed there is no standard error.
-    errors = {
-        metric: {"mean": error.mean}
-        | ({"standard_error": error.standard_error} if comparison.seeds > 1 else {})
-        for metric, error in measurement.errors.items()
+    return _summary(measurement) | {
+        "efficiency": {name: asdict(value) for name, value in measurement.efficiency.items()},
+        "errors": {name: asdict(error) for name, error in measurement.errors.items()},
+        "pictures": pictures,
     }
-    return _summary(measurement) | {"errors": errors, "pictures": pictures}
 
 
 def _summary(measurement: Measurement) -> dict[str, object]:
@@ -175,4 +202,116 @@ def _summary(measurement: Measurement) -> dict[str, object]:
         "tracing_seconds": measurement.tracing_seconds,
         "execution_seconds": measurement.execution_seconds,
         "compilation_seconds": measurement.compilation_seconds,
-    } | {f"efficiency_{metric}": value for metric, value in measurement.efficiency.items()}
+    }
+
+
+def _relative(file: Path, folder: Path) -> str:
+    """Return how to get from a folder to a file, with slashes on every system."""
+    try:
+        return Path(os.path.relpath(file, folder)).as_posix()
+    except ValueError:  # on another drive of Windows
+        return file.resolve().as_posix()
+
+
+def _without_nan(value: Any) -> Any:
+    """Return a document without the entries that are NaN."""
+    if isinstance(value, Mapping):
+        return {name: _without_nan(one) for name, one in value.items() if not _is_nan(one)}
+    if isinstance(value, (list, tuple)):
+        return [_without_nan(one) for one in value]
+    return value
+
+
+def _is_nan(value: object) -> bool:
+    return isinstance(value, float) and math.isnan(value)
+
+
+# ---- Reading ----
+
+
+def read(folder: str | os.PathLike[str]) -> Comparison:
+    """
+    Read a finished comparison back from its folder; pictures are read when they are asked for.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds no finished comparison, or one of another version.
+    """
+    folder = Path(folder)
+    file = folder / "results.json"
+    if not file.is_file():
+        raise ValueError(
+            f"{folder} holds no finished comparison (results.json is missing): name the folder that"
+            " `mi-ellipse compare` wrote to"
+        )
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+        found = document.get("format") if isinstance(document, dict) else None
+        if found != FORMAT:
+            raise ValueError(
+                f"{file} has format {found}, and this version reads {FORMAT}: run `mi-ellipse"
+                " compare` with the same arguments again"
+            )
+        return _comparison(folder, document)
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{file} is damaged: {error}") from None
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"{file} is damaged: it lacks or misspells {error}") from None
+
+
+def _comparison(folder: Path, document: dict[str, Any]) -> Comparison:
+    reference = document["reference"]
+    return Comparison(
+        scene_file=folder / document["scene"],
+        parameters=document["parameters"],
+        folder=folder,
+        strategies=tuple(document["strategies"]),
+        spp=tuple(document["spp"]),
+        seeds=document["seeds"],
+        settings=document["settings"],
+        machine=document["machine"],
+        reference=Reference(
+            folder / reference["file"],
+            reference["spp"],
+            reference["errors"],
+            reference["flip_between_halves"],
+        ),
+        measurements=tuple(_measurement(folder, entry) for entry in document["measurements"]),
+    )
+
+
+def _measurement(folder: Path, entry: dict[str, Any]) -> Measurement:
+    pictures = entry["pictures"]
+    return Measurement(
+        kind=entry["kind"],
+        sampling=entry["sampling"],
+        spp=entry["spp"],
+        first_spp=entry["first_spp"],
+        pictures=tuple(
+            Picture(
+                folder / picture["file"],
+                Task(picture["seed"], entry["sampling"], entry["spp"]),
+                entry["spp_taken"],
+                Timing(**picture["timing"]),
+                Timing(**picture["warm_up"]),
+            )
+            for picture in pictures
+        ),
+        values={
+            metric: tuple(picture["errors"][metric] for picture in pictures)
+            for metric in entry["errors"]
+        },
+        errors={
+            metric: Estimate(error["mean"], error.get("standard_error", math.nan))
+            for metric, error in entry["errors"].items()
+        },
+        seconds=entry["seconds"],
+        tracing_seconds=entry["tracing_seconds"],
+        execution_seconds=entry["execution_seconds"],
+        compilation_seconds=entry["compilation_seconds"],
+        efficiency={
+            metric: Efficiency(one["value"], one.get("low", math.nan), one.get("high", math.nan))
+            for metric, one in entry["efficiency"].items()
+        },
+    )

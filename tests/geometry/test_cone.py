@@ -1,14 +1,14 @@
 """The cone of a light: eigen-solves, Carlson's integral, quadrature and 700-bit references."""
 
 import mitsuba as mi
-import mpmath
 import numpy as np
-import oracle
 import pytest
 from conftest import ellipses
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from mi_ellipse.geometry import cone
+
+import oracles.ellipse as oracle
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 
@@ -55,22 +55,6 @@ def test_solid_angle_of_given_half_angles():
     got = cone.solid_angle(bare(ta, tb)).numpy()
     expected = oracle.solid_angle(ta.astype(float), tb.astype(float))
     np.testing.assert_allclose(got, expected, rtol=6e-7)
-
-
-def test_carlson_integral_is_the_solid_angle():
-    """What stands for the truth above: against quadrature, in mpmath and on a grid."""
-    for ta, tb in [(1e-3, 1e-3), (0.5, 0.2), (2, 0.5), (3, 3), (20, 0.01), (30, 10)]:
-        a, b = mpmath.mpf(ta), mpmath.mpf(tb)
-
-        def cap(t, a=a, b=b):
-            r2 = (a * mpmath.cos(t)) ** 2 + (b * mpmath.sin(t)) ** 2
-            return (1 - 1 / mpmath.sqrt(1 + r2)) * a * b / r2
-
-        nodes = [0, 0.01, 0.1, 0.5, mpmath.pi / 2]
-        exact = 4 * mpmath.quad(cap, nodes)
-        assert abs(oracle.solid_angle(ta, tb) / exact - 1) < 1e-12
-        if ta < 5:
-            assert abs(oracle.cone_grid(ta, tb, 1024)[1].sum() / exact - 1) < 1e-12
 
 
 def test_circle_on_its_axis():
@@ -198,28 +182,30 @@ def test_cone_of_ordinary_lights(ordinary):
 @settings(max_examples=100, deadline=None, derandomize=True)
 @given(
     turn=st.floats(0, 1),
-    radius=st.floats(0.999, 1),
+    radius=st.floats(0, 1),
     point=st.tuples(*[st.floats(-3, 3)] * 3),
     ratio=st.floats(-6, 0).map(lambda e: 10**e),
 )
-def test_points_of_the_rim_are_on_the_rim(turn, radius, point, ratio):
-    """Directions to the light are inside its cone, and those to its rim on the cone's rim."""
+def test_cone_holds_the_light_and_touches_its_rim(turn, radius, point, ratio):
+    """A direction to the light is inside its cone, and one to its rim on the cone's rim."""
     mi.set_variant("llvm_ad_rgb")
-    t = np.linspace(0, 2 * np.pi, 32)
-    if abs(point[2]) < 1e-3:  # The rim of the cone is a plane there
-        return
+    assume(abs(point[2]) >= 1e-3)  # The rim of the cone is a plane there
     light = ellipses([[1, 0, 0]], [[0, ratio, 0]], [[0, 0, 0]])
     reference = np.float32(point)
     seen = light.seen_from(mi.Point3f(reference[:, None])).cone
-    rim = np.stack([np.cos(t), ratio * np.sin(t), 0 * t], 1) - reference
-    rim /= np.linalg.norm(rim, axis=1, keepdims=True)
     axes = np.array([rows(light.to_world(v))[0] for v in (seen.x, seen.y, seen.z)])
-    d = rim @ axes.T
+
+    angle = 2 * np.pi * turn
+    rim = np.array([np.cos(angle), ratio * np.sin(angle), 0])
+    directions = np.array([radius * rim, rim]) - reference
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    d = directions @ axes.T
     assert np.all(d[:, 2] > 0)
-    radius = np.hypot(d[:, 0] / d[:, 2] / seen.ta[0], d[:, 1] / d[:, 2] / seen.tb[0])
+    inside, on = np.hypot(d[:, 0] / d[:, 2] / seen.ta[0], d[:, 1] / d[:, 2] / seen.tb[0])
     # The frame's rounding is one of the smaller half-angle, and steepens towards 90°.
     tolerance = 1e-6 * (1 + seen.ta[0]) * (1 + 1 / seen.tb[0]) * (1 + 1 / np.abs(d[:, 2]))
-    np.testing.assert_array_less(np.abs(radius - 1), tolerance)
+    assert inside < 1 + tolerance[0]
+    assert abs(on - 1) < tolerance[1]
 
 
 # ---- Vector irradiance ----
@@ -228,8 +214,7 @@ def test_points_of_the_rim_are_on_the_rim(turn, radius, point, ratio):
 def test_vector_irradiance(ordinary):
     """π sin α sin β (n·z) is the irradiance of a light wholly above the horizon.
 
-    Against a line integral over the light's rim, which is itself checked against the surface
-    integral below.
+    Against a line integral over the light's rim.
     """
     u, w, centre, normal = ordinary
     light = ellipses(u, w, centre)
@@ -242,17 +227,3 @@ def test_vector_irradiance(ordinary):
     assert len(above) == 300
     truth = [oracle.irradiance(u[i], w[i], centre[i], normal[i], 2048) for i in above]
     np.testing.assert_allclose(formula[above], truth, rtol=1e-5)
-
-
-def test_the_two_irradiance_oracles_agree():
-    """Rim against surface, above, across and below the horizon."""
-    rng = np.random.default_rng(12)
-    for _ in range(10):
-        u, w = rng.normal(size=(2, 3))
-        normal, centre = rng.normal(size=(2, 3))
-        plane = np.cross(u, w)
-        centre += 3 * plane / np.linalg.norm(plane)
-        normal /= np.linalg.norm(normal)
-        line = oracle.irradiance(u, w, centre, normal)
-        surface = oracle.irradiance_by_area(u, w, centre, normal)
-        assert line == pytest.approx(surface, rel=1e-5, abs=1e-6)  # A kink at the horizon

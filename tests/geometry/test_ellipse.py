@@ -3,12 +3,13 @@
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import oracle
 import pytest
 from conftest import ellipses, lamp
 from mi_ellipse.geometry import ellipse
 from mi_ellipse.sampling import STRATEGIES
-from oracle import MIRROR, SHEAR, rotation, translation
+
+import oracles.ellipse as oracle
+from oracles.ellipse import MIRROR, SHEAR, rotation, translation
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 

@@ -9,7 +9,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from conftest import floor_and, lamp
-from oracle import rotation, translation
+
+from oracles.ellipse import rotation, translation
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from conftest import VARIANTS, floor_and, lamp
 from mi_ellipse.sampling import STRATEGIES
-from oracle import rotation, translation
-from pictures import assert_same_expectation, render
+
+from oracles.ellipse import rotation, translation
+from oracles.pictures import assert_same_expectation, render
 
 # A tilted ellipse over the floor. The camera sees it from behind, too.
 LAMP = (

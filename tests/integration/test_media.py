@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from conftest import floor_and, lamp
 from mi_ellipse.sampling import STRATEGIES
-from oracle import rotation, translation
-from pictures import assert_same_expectation, render
+
+from oracles.ellipse import rotation, translation
+from oracles.pictures import assert_same_expectation, render
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from conftest import floor_and, lamp
 from mi_ellipse.system.messages import innermost_cause
-from oracle import rotation, translation
+
+from oracles.ellipse import rotation, translation
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 

@@ -7,8 +7,9 @@ import pytest
 from conftest import floor_and, lamp
 from mi_ellipse.sampling import STRATEGIES
 from mitsuba.chi2 import ChiSquareTest
-from oracle import MIRROR, SHEAR, rotation, translation
-from pictures import assert_same_expectation, render
+
+from oracles.ellipse import MIRROR, SHEAR, rotation, translation
+from oracles.pictures import assert_same_expectation, render
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 

@@ -13,8 +13,9 @@ import pytest
 from conftest import floor_and, lamp
 from mi_ellipse.geometry import ellipse
 from mi_ellipse.sampling import STRATEGIES
-from oracle import MIRROR, SHEAR, rotation, translation
 from scipy import stats
+
+from oracles.ellipse import MIRROR, SHEAR, rotation, translation
 
 DOWN = rotation([1, 0, 0], 180)
 LAMP = translation(0, 0, 0.8) @ rotation([0.3, 1, 0], 25) @ DOWN @ SHEAR @ np.diag([0.8, 0.3, 1, 1])

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from conftest import VARIANTS, floor_and, lamp
 from mi_ellipse.sampling import STRATEGIES
-from oracle import rotation, translation
-from pictures import assert_same_expectation, render
+
+from oracles.ellipse import rotation, translation
+from oracles.pictures import assert_same_expectation, render
 
 LAMP = translation(0, 0, 1) @ rotation([1, 0, 0], 180) @ np.diag([0.8, 0.4, 1, 1])
 

@@ -6,7 +6,6 @@ A new strategy is tested here by being registered.
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import oracle
 import pytest
 import scipy.integrate
 from conftest import ellipses, lamp
@@ -15,7 +14,9 @@ from hypothesis import strategies as st
 from mi_ellipse.geometry import ellipse
 from mi_ellipse.sampling import STRATEGIES
 from mitsuba.chi2 import ChiSquareTest
-from oracle import MIRROR, SHEAR, rotation, translation
+
+import oracles.ellipse as oracle
+from oracles.ellipse import MIRROR, SHEAR, rotation, translation
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 
@@ -180,7 +181,7 @@ def test_chi_square(name, view):
 
 
 class Draws:
-    """A strategy's draws for every light of `tests/data`, and their density from both ends."""
+    """A strategy's draws for every light of `oracles/data`, and their density from both ends."""
 
     per_light = 256
 

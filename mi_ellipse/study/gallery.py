@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..files import images
+from ..files.images import Image
 from ..rendering import provenance
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import Rendering, RenderJob, Timing
@@ -75,32 +76,39 @@ class Gallery:
         """Tell whether the picture is there, with whatever settings."""
         return self._file(task).exists()
 
-    def render(self, tasks: Sequence[Task], progress: Callable[[Task], None]) -> None:
+    def render(
+        self, tasks: Sequence[Task], progress: Callable[[Task], None]
+    ) -> dict[Task, Picture]:
         """
         Render pictures and write them, in an order that is fair to the strategies.
 
-        Strategies take turns, so that a machine that slows down slows all of them. Only one scene
-        is loaded at a time, since every living lamp is part of every render.
+        Strategies take turns, so that a machine that slows down slows all of them. The pictures are
+        rendered on this machine, one at a time, since their times are compared.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
-        tasks = sorted(tasks)
+        jobs = {task: self._job(task) for task in sorted(tasks)}
+        pictures = {}
         with LocalExecutor() as executor:
-            for task, rendering in zip(
-                tasks, executor.map(RenderJob.run, map(self._job, tasks)), strict=True
-            ):
+            renderings = executor.map(RenderJob.run, jobs.values())
+            for (task, job), rendering in zip(jobs.items(), renderings, strict=True):
                 image = colour(rendering, f"{task.sampling} at {task.spp} spp, seed {task.seed}")
-                times = {"timing": rendering.timing, "warm_up": rendering.warm_up}
-                times = {name: json.dumps(asdict(time)) for name, time in times.items()}
-                description = provenance.describe(self._job(task), rendering)
-                description |= self._settings | _settings_of(task) | times
-                images.write_exr(self._file(task), image, description)
+                pictures[task] = self._write(task, job, rendering, image)
                 progress(task)
+        return pictures
+
+    def _write(self, task: Task, job: RenderJob, rendering: Rendering, image: Image) -> Picture:
+        assert rendering.warm_up is not None  # Each job of the gallery asks for it.
+        times = {"timing": rendering.timing, "warm_up": rendering.warm_up}
+        description = provenance.describe(job, rendering) | self._settings | _settings_of(task)
+        description |= {name: json.dumps(asdict(time)) for name, time in times.items()}
+        images.write_exr(self._file(task), image, description)
+        return Picture(self._file(task), task, rendering.spp, rendering.timing, rendering.warm_up)
 
     def _job(self, task: Task) -> RenderJob:
         return RenderJob(
             self.scene_file,
             self.parameters,
-            mi.variant(),
+            variant(),
             task.sampling,
             task.spp,
             task.seed,
@@ -111,16 +119,24 @@ class Gallery:
         return self.folder / f"{task.name}.exr"
 
 
+def variant() -> str:
+    """Return Mitsuba's variant; a ValueError if none is set."""
+    current = mi.variant()
+    if current is None:
+        raise ValueError("no variant of Mitsuba is set: call mi.set_variant first")
+    return str(current)
+
+
 def settings(scene_file: Path, parameters: Mapping[str, str]) -> dict[str, str]:
     """Return what two pictures of a scene must have in common to be compared."""
     return {
         "scene_digest": provenance.scene_digest(scene_file, parameters),
-        "variant": mi.variant(),
+        "variant": variant(),
         **provenance.versions(),
     }
 
 
-def colour(rendering: Rendering, what: str) -> np.ndarray:
+def colour(rendering: Rendering, what: str) -> Image:
     """
     Return the RGB picture of a rendering, luminance repeated.
 
@@ -145,11 +161,6 @@ def colour(rendering: Rendering, what: str) -> np.ndarray:
             " the picture was not kept"
         )
     return image
-
-
-def read_exr(file: Path) -> np.ndarray:
-    """Return a picture as an array of shape (height, width, channels)."""
-    return images.read_exr(file)
 
 
 def _settings_of(task: Task) -> dict[str, str]:

@@ -1,5 +1,6 @@
 """The report: one file that needs nothing else, and works in a browser."""
 
+import dataclasses
 import html
 import json
 import os
@@ -13,7 +14,8 @@ import numpy as np
 import pytest
 from conftest import SMALL_SCENE, SMALL_SIZE
 from mi_ellipse.study import compare
-from mi_ellipse.study.report import write_report
+from mi_ellipse.study.report import page, write_report
+from mi_ellipse.study.statistics import Efficiency
 
 STRATEGIES = ("area", "solid_angle")
 WIDTH, HEIGHT = SMALL_SIZE
@@ -123,7 +125,43 @@ def test_numbers_are_those_of_the_comparison(comparison, text):
         assert f"{error.mean:.3g} ± {error.standard_error:.1g}" in cells
         assert f"{measurement.seconds:.3f}" in cells
     assert f"{comparison.reference.errors['mse']:.3g}" in cells
-    assert html.escape(comparison.warnings()[0]) in text
+    assert comparison.warnings()[0] in html.unescape(text)
+
+
+def test_efficiencies_have_their_intervals(comparison, text):
+    cells = Page(text).cells
+    for measurement in comparison.measurements:
+        for one in measurement.efficiency.values():
+            if measurement.sampling == comparison.strategies[0]:
+                assert (one.value, one.low, one.high) == (1, 1, 1)
+                assert "1.00" in cells
+            else:
+                assert f"{one.value:.2f} [{one.low:.2f}, {one.high:.2f}]" in cells
+    assert "Student's t with 1 degree\nof freedom" in html.unescape(text)
+
+
+def with_intervals(comparison, first, second):
+    """The comparison with other ends of the intervals of one efficiency."""
+    ends = {comparison.strategies[0]: first, comparison.strategies[1]: second}
+    measurements = tuple(
+        dataclasses.replace(
+            one, efficiency={"mse": Efficiency(7.25, *ends[one.sampling])}, errors=one.errors
+        )
+        for one in comparison.measurements
+    )
+    return dataclasses.replace(comparison, measurements=measurements)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "bold"),
+    [((1, 2), (3, 4), 1), ((1, 2), (1.5, 4), 0), ((5, 6), (3, 4), 1), ((1, 2), (np.nan, 4), 0)],
+)
+def test_bold_is_the_best_by_its_interval_alone(comparison, first, second, bold):
+    for group in page._table(with_intervals(comparison, first, second), "equal samples"):
+        best = [row.costs[0].best for row in group]
+        assert sum(best) == bold
+        if bold:
+            assert best == [first > second, second > first]
 
 
 def test_curves_are_drawn_inline(text):
@@ -136,14 +174,14 @@ def test_curves_are_drawn_inline(text):
     CHROMIUM is None, reason="no Chromium found; the CHROMIUM variable may name one"
 )
 def test_report_works_in_a_browser(comparison, text, tmp_path):
-    page = tmp_path / "report.html"
-    page.write_text(text.replace("<head>", f"<head>{PROBE}", 1), encoding="utf-8")
+    file = tmp_path / "report.html"
+    file.write_text(text.replace("<head>", f"<head>{PROBE}", 1), encoding="utf-8")
     process = subprocess.run(
         [
             CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
             "--no-first-run", "--disable-background-networking", "--disable-component-update",
             "--disable-sync", f"--user-data-dir={tmp_path / 'profile'}",
-            "--virtual-time-budget=10000", "--dump-dom", page.as_uri(),
+            "--virtual-time-budget=10000", "--dump-dom", file.as_uri(),
         ],
         capture_output=True, text=True, timeout=60, check=True,
     )  # fmt: skip

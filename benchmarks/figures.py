@@ -1,0 +1,195 @@
+"""Figures in the pages: blocks of README and docs that are written from `docs/data`.
+
+A page holds a block between ``<!-- figures: NAME -->`` and ``<!-- end of figures -->``, NAME being
+a key of `BLOCKS`. ``python -m benchmarks figures`` writes them anew.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from mi_ellipse.sampling import DEFAULT, STRATEGIES
+
+from .text import table
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = ("README.md", "docs/strategies.md")
+BLOCK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- end of figures -->)", re.DOTALL)
+
+BARE = "bare floor and ball"
+HEIGHTS = ("0.25", "0.6")
+DIRECT, BOTH = "light samples", "MIS"
+CHOICE = ("solid_angle", "projected_solid_angle")
+ONE_SIDED = "projected_solid_angle_one_sided"
+
+
+def write() -> None:
+    """Write every block of every page."""
+    for name in PAGES:
+        page = ROOT / name
+        page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+def filled(text: str) -> str:
+    """Return a page with its blocks as the data have them; an unknown block is a KeyError."""
+    return BLOCK.sub(lambda found: found[1] + BLOCKS[found[2]]() + found[3], text)
+
+
+@cache
+def data(name: str) -> Any:
+    """What a benchmark measured."""
+    document = json.loads((ROOT / "docs" / "data" / f"{name}.json").read_text(encoding="utf-8"))
+    return document.get(name, document)
+
+
+def number(value: float, digits: int = 2) -> str:
+    """Some significant digits, without an exponent up to a million."""
+    if value == 0:
+        return "0"
+    rounded = float(f"{value:.{digits}g}")
+    if abs(rounded) >= 1e6 or abs(rounded) < 1e-5:
+        mantissa, exponent = f"{rounded:.{digits - 1}e}".split("e")
+        return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
+    if abs(rounded) >= 10 ** (digits - 1):
+        return f"{rounded:.0f}"
+    text = f"{rounded:#.{digits}g}"
+    return f"{rounded:.7f}".rstrip("0") if "e" in text else text
+
+
+def span(values: Iterable[float], form: str = "{:.2f}") -> str:
+    """Least and largest of some numbers."""
+    values = list(values)
+    return f"{form.format(min(values))} to {form.format(max(values))}"
+
+
+# ---- README ----
+
+
+def readme_strategies() -> str:
+    """What each strategy is for, costs and buys."""
+    errors, times = data("error")["heights"], data("render_time")[BARE]["ratios"]
+    rows = []
+    for name in (DEFAULT, "projected_solid_angle", ONE_SIDED, "area", "rejection"):
+        measured = name in errors[HEIGHTS[0]][BOTH]
+        # No whole render was timed with `rejection`; its time is that of the errors.
+        own = times.get(name) or (errors[HEIGHTS[1]][BOTH][name]["time"] if measured else None)
+        shown = f"`{name}`" + (" (default)" if name == DEFAULT else "")
+        gains = [
+            " and ".join(
+                number(errors[height][samples][name]["gain_trimmed"]) for height in HEIGHTS
+            )
+            if measured
+            else ""
+            for samples in (DIRECT, BOTH)
+        ]
+        time = f"{own['median']:.2f}" if own else ""
+        rows.append([shown, STRATEGIES[name].sentence, time, *gains])
+    return table("`sampling` | what it draws | time | light samples | with MIS", rows)
+
+
+def readme_bounds() -> str:
+    """What an exact sampler would reach, and what a render takes in other scenes."""
+    heights = data("error")["heights"]
+    exact = [
+        number(
+            heights[height][DIRECT]["disk + area"]["trimmed"] / heights[height]["exact"]["trimmed"]
+        )
+        for height in HEIGHTS
+    ]
+    times = [entry["ratios"] for scene, entry in data("render_time").items() if scene != BARE]
+    ranges = [span(ratios[name]["median"] for ratios in times) for name in CHOICE]
+    lamps = [data("lamps")[name]["100"]["tracing_ms"] / 1000 for name in CHOICE]
+    return (
+        "An exact sampler of the projected solid angle, if it took no longer than `disk` + `area`,"
+        f" would reach {exact[0]} and {exact[1]} with light samples. In other scenes, a render"
+        f" takes {ranges[0]} times as long with `{CHOICE[0]}`, and {ranges[1]} times with"
+        f" `{CHOICE[1]}`. To trace 100 lamps takes {lamps[0]:.2f} and {lamps[1]:.2f} s a render.\n"
+    )
+
+
+def readme_choice() -> str:
+    """Time to equal noise of `projected_solid_angle` over that of the default, by scene."""
+    rows = []
+    for scene, entry in data("choice").items():
+        gains = [entry[name]["gain"]["trimmed"] for name in CHOICE]
+        best = CHOICE[gains.index(max(gains))]
+        rows.append([scene, *(f"{gain:.2f}" for gain in gains), f"`{best}`"])
+    heads = " | ".join(f"`{name}`" for name in CHOICE)
+    return table(f"scene | {heads} | choose", rows)
+
+
+# ---- docs/strategies.md ----
+
+VARIANCES = {
+    "far": ("far", "variance_mean"),
+    "near": ("near", "variance_mean"),
+    "very near": ("very near", "variance_mean"),
+    "needle": ("needle", "variance_mean"),
+    "in its plane": ("in plane", "variance_mean"),
+    "fills": ("fills hemisphere", "variance_mean"),
+    "straddling": ("straddling", "variance_mean"),
+    "either side": ("straddling", "either_side_mean"),
+}
+WEIGHTS = {
+    "largest weight: near": ("near", "largest_weight"),
+    "fills": ("fills hemisphere", "largest_weight"),
+    "straddling": ("straddling", "largest_weight"),
+    "wasted: near": ("near", "wasted"),
+    "straddling ": ("straddling", "wasted"),
+}
+RANGES = {"density × Ω: near": "near", "needle": "needle"}
+
+
+def _ordered() -> list[str]:
+    """The strategies: what to choose first, then what to compare with."""
+    first = [DEFAULT, "projected_solid_angle", ONE_SIDED, "area"]
+    return first + [name for name in STRATEGIES if name not in first]
+
+
+def names() -> str:
+    """What the registry says of each strategy."""
+    rows = [
+        [f"`{name}`" + (" (default)" if name == DEFAULT else ""), STRATEGIES[name].sentence]
+        for name in _ordered()
+    ]
+    return table("`sampling` | what it draws", rows)
+
+
+def variance() -> str:
+    """Cost of each strategy, and its mean relative variance over the classes of lights."""
+    rows = []
+    for name in _ordered():
+        cost, of_class = data("accuracy")["cost"][name], data("accuracy")["rows"][name]
+        values = [of_class[row].get(key) for row, key in VARIANCES.values()]
+        shown = ["biased" if value is None else number(value) for value in values]
+        rows.append([f"`{name}`", f"{cost['sample']:.1f}", f"{cost['density']:.1f}", *shown])
+    return table(" | ".join(["strategy", "cost", "density", *VARIANCES]), rows)
+
+
+def weights() -> str:
+    """Largest weight over the mean, share of wasted draws, and range of density × solid angle."""
+    rows = []
+    for name in _ordered():
+        of_class = data("accuracy")["rows"][name]
+        shown = [number(of_class[row][key]) for row, key in WEIGHTS.values()]
+        ranges = [
+            " to ".join(number(value, 4) for value in of_class[row]["uniformity"])
+            for row in RANGES.values()
+        ]
+        rows.append([f"`{name}`", *shown, *ranges])
+    return table(" | ".join(["strategy", *WEIGHTS, *RANGES]), rows)
+
+
+BLOCKS: dict[str, Callable[[], str]] = {
+    "strategies": readme_strategies,
+    "bounds": readme_bounds,
+    "choice": readme_choice,
+    "names": names,
+    "variance": variance,
+    "weights": weights,
+}

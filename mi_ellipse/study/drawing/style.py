@@ -1,0 +1,66 @@
+"""How figures look: sizes and text, the colour and mark of each strategy, numbers as words."""
+
+from __future__ import annotations
+
+from textwrap import wrap
+from typing import Any
+
+from ...sampling import STRATEGIES
+
+COLUMN_WIDTH = 3.4  # inches, of a page with two columns
+PAGE_WIDTH = 7.1
+TEXT: dict[Any, Any] = {
+    "font.size": 7.5,
+    "axes.titlesize": 7.5,
+    "axes.labelsize": 7.5,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "axes.linewidth": 0.6,
+    "pdf.fonttype": 42,  # text stays text
+    "svg.hashsalt": "mi_ellipse",
+}
+
+# Of a strategy that this version does not know, in results of another one
+OTHER_STYLE = ("#555555", "X")
+
+
+def style_of(sampling: str) -> tuple[str, str]:
+    """Return the colour and the mark of a strategy."""
+    entry = STRATEGIES.get(sampling)
+    return (entry.colour, entry.mark) if entry else OTHER_STYLE
+
+
+def label_of(sampling: str) -> str:
+    """Return what figures call a strategy."""
+    entry = STRATEGIES.get(sampling)
+    return entry.label if entry else sampling.replace("_", " ")
+
+
+# ---- Words and numbers ----
+
+
+def wrap_lines(title: str, inches: float) -> str:
+    """Break the lines of a title that are wider than its column."""
+    characters = round(inches / 0.065)  # at the size of titles
+    return "\n".join(part for line in title.split("\n") for part in wrap(line, characters))
+
+
+def plain(value: float, _position: float | None = None) -> str:
+    """Return a number in short, for the ticks of an axis."""
+    return f"{value:g}"
+
+
+def thousands(count: int) -> str:
+    """Return a count, with thin spaces between thousands from 10 000 on."""
+    return f"{count:,}".replace(",", "\u2009") if count >= 10_000 else str(count)
+
+
+def scientific(value: float) -> str:
+    """Return a number as mantissa and power of ten, for matplotlib."""
+    mantissa, exponent = f"{value:.2e}".split("e")
+    return f"{mantissa}·$10^{{{int(exponent)}}}$"
+
+
+def seconds(value: float) -> str:
+    """Return a time in seconds or milliseconds."""
+    return f"{value:.2f} s" if value >= 1 else f"{1000 * value:.0f} ms"

@@ -1,0 +1,78 @@
+"""The pictures of a comparison: what is reused, what is replaced, what an interruption leaves."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from comparisons import read, run
+from conftest import SMALL_SCENE
+from mi_ellipse.rendering import provenance
+from mi_ellipse.study.gallery import Gallery, Task
+
+pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
+
+
+def test_second_run_reuses_everything(finished, count_renders):
+    before = (finished.folder / "results.csv").read_bytes()
+    said = []
+    run(finished.scene_file, finished.folder, said, reference_spp=64, parameters={"radiance": "2"})
+    assert count_renders.made == []
+    assert said[0] == "Pictures at equal samples: 8 of 8 reused"
+    assert said[-1] == "Reference: reused, 64 spp"
+    assert (finished.folder / "results.csv").read_bytes() == before
+
+
+def test_other_seeds_and_counts_are_missing(finished):
+    gallery = Gallery(finished.folder / "pictures", finished.scene_file, {"radiance": "2"})
+    assert gallery.find(Task(2, "area", 8))
+    assert gallery.find(Task(3, "area", 8)) is None
+    assert gallery.find(Task(2, "area", 4)) is None
+
+
+@pytest.mark.parametrize("change", ["parameters", "scene", "variant", "code"])
+def test_other_settings_do_not_fit(finished, tmp_path, monkeypatch, change):
+    parameters, scene_file = {"radiance": "2"}, finished.scene_file
+    if change == "parameters":
+        parameters["radiance"] = "3"
+    elif change == "scene":
+        scene_file = tmp_path / "scene.xml"
+        scene_file.write_text(SMALL_SCENE.replace("0,-4,3", "0,-5,3"))
+    elif change == "variant":
+        mi.set_variant("llvm_ad_spectral")
+    else:
+        monkeypatch.setattr(provenance, "picture_digest", lambda: "other")
+    gallery = Gallery(finished.folder / "pictures", scene_file, parameters)
+    assert gallery.holds(Task(1, "area", 8))
+    assert gallery.find(Task(1, "area", 8)) is None
+
+
+def test_comments_and_the_name_of_the_file_do_not_matter(finished, tmp_path):
+    scene_file = tmp_path / "other.xml"
+    scene_file.write_text(SMALL_SCENE.replace("<sensor", "<!-- a comment --> <sensor"))
+    gallery = Gallery(finished.folder / "pictures", scene_file, {"radiance": "2"})
+    assert gallery.find(Task(1, "area", 8))
+
+
+def test_outdated_pictures_are_replaced_and_an_outdated_reference_is_refused(small_scene, tmp_path):
+    folder = tmp_path / "out"
+    run(small_scene, folder, spp=(2,), seeds=1)
+    before = read(folder / "pictures" / "area_2spp_seed1.exr")
+    said = []
+    with pytest.raises(ValueError, match=r"other settings \(scene_digest\)"):
+        run(small_scene, folder, said, spp=(2,), seeds=1, parameters={"radiance": "2"})
+    assert "Pictures at equal samples: 2 were made with other settings and are replaced" in said
+    after = read(folder / "pictures" / "area_2spp_seed1.exr")
+    np.testing.assert_allclose(after, 2 * before, rtol=1e-5, atol=1e-6)
+
+
+def test_pictures_go_on_after_an_interruption(small_scene, tmp_path, count_renders):
+    # A warm-up and two counts for each strategy and seed: 12 renders.
+    count_renders.stop_after = 5
+    with pytest.raises(KeyboardInterrupt):
+        run(small_scene, tmp_path / "out")
+    kept = [file.name for file in (tmp_path / "out" / "pictures").iterdir()]
+    assert len(kept) == 3
+
+    count_renders.stop_after, count_renders.made = None, []
+    said = []
+    run(small_scene, tmp_path / "out", said)
+    assert said[0] == "Pictures at equal samples: 3 of 8 reused"
