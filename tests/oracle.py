@@ -9,6 +9,7 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
+import mpmath
 import numpy as np
 from scipy.special import elliprj
 
@@ -152,3 +153,29 @@ def irradiance_by_area(u, w, c, n, nodes: int = 200) -> float:
     cross = np.cross(u, w)
     integrand = np.maximum(p @ n, 0) * np.abs(p @ cross) / r2**2
     return float(np.sum(integrand * (wr * r)[:, None]) * np.pi / nodes)
+
+
+# ---- Ellipsoids ----
+
+
+def solid_cone(axes, c) -> tuple[np.ndarray, float, float]:
+    """`cone` of the ellipsoid ``{c + axes q : |q| ≤ 1}``, its semi-axis vectors as columns.
+
+    Eigen-decomposition of ``axes axesᵀ - c cᵀ`` in 60-digit arithmetic.
+    """
+    with mpmath.workdps(60):
+        a, c = mpmath.matrix(np.asarray(axes).tolist()), mpmath.matrix(np.asarray(c).tolist())
+        values, vectors = mpmath.eigsy(a * a.T - c * c.T)  # ascending: -μ3, μ2, μ1
+        ta, tb = (float(mpmath.sqrt(values[k] / -values[0])) for k in (2, 1))
+        x, y, z = (np.array([float(vectors[i, k]) for i in range(3)]) for k in (2, 1, 0))
+        z = z * np.sign(float(sum(vectors[i, 0] * c[i] for i in range(3)))) if any(c) else z
+    if np.dot(np.cross(x, y), z) < 0:
+        y = -y
+    return np.array([x, y, z]), ta, tb
+
+
+def solid_irradiance(axes, c, n, turns: int = 1024, heights: int = 256) -> float:
+    """``∫ max(0, n·ω) dω`` over an ellipsoid by quadrature over its cone."""
+    frame, ta, tb = solid_cone(axes, c)
+    d, weight = cone_grid(ta, tb, turns, heights)
+    return float(np.sum(weight * np.maximum(d @ frame @ np.asarray(n, float), 0)))

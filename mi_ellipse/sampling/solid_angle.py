@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..geometry.cone import Cone
-from ..geometry.ellipse import View
+from ..geometry.light import View
 from .strategy import register
 
 
