@@ -1,25 +1,29 @@
-"""Solid angle, tangent ellipse and irradiance of an elliptical light: the numbers, not a picture.
+"""Solid angle, tangent ellipse and irradiance of a light: the numbers, not a picture.
 
-Every function takes the transform of a light (the image of the unit disk under it, see
-`ellipse.from_transform`) and points, and counts the light from both of its sides. Transform and
-points are Mitsuba types of the current variant, or NumPy arrays of the shapes (4, 4) and (…, 3);
-NumPy in gives NumPy out.
+Every function takes a light and points. A transform alone is the elliptical light that is the image
+of the unit disk under it (see `ellipse.from_transform`), which counts from both of its sides; an
+`Ellipsoid` is the image of the unit ball, which counts from outside. Transform and points are
+Mitsuba types of the current variant, or NumPy arrays of the shapes (4, 4) and (…, 3); NumPy in
+gives NumPy out.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import wraps
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .geometry import cone, ellipse
+from .geometry import cone, ellipse, ellipsoid
 from .geometry.irradiance import clipped
-from .geometry.mesh import tessellate
+from .geometry.light import View
+from .geometry.mesh import tessellate_ellipse, tessellate_ellipsoid
 
 __all__ = [
+    "Ellipsoid",
     "TangentEllipse",
     "irradiance",
     "solid_angle",
@@ -27,6 +31,21 @@ __all__ = [
     "tessellate",
     "vector_irradiance",
 ]
+
+
+@dataclass(frozen=True)
+class Ellipsoid:
+    """An ellipsoid, as the functions of this module take it instead of a transform.
+
+    ``mi_ellipse.solid_angle(mi_ellipse.Ellipsoid(to_world), point)``
+
+    Parameters
+    ----------
+    to_world
+        Transform of the ellipsoid, or its matrix: the image of the unit ball. Semi-axes are scales.
+    """
+
+    to_world: Any
 
 
 class TangentEllipse(NamedTuple):
@@ -44,8 +63,7 @@ def _accepts_numpy(function):
 
     @wraps(function)
     def wrapped(to_world, *vectors):
-        if isinstance(to_world, np.ndarray):
-            to_world = mi.ScalarAffineTransform4d(np.asarray(to_world, dtype=float))
+        to_world = _from_numpy(to_world)
         if not any(isinstance(v, np.ndarray) for v in vectors):
             return function(to_world, *map(mi.Vector3f, vectors))
 
@@ -64,6 +82,14 @@ def _accepts_numpy(function):
     return wrapped
 
 
+def _from_numpy(to_world):
+    if isinstance(to_world, Ellipsoid):
+        return Ellipsoid(_from_numpy(to_world.to_world))
+    if isinstance(to_world, np.ndarray):
+        return mi.ScalarAffineTransform4d(np.asarray(to_world, dtype=float))
+    return to_world
+
+
 def _to_numpy(result, shape: tuple[int, ...]):
     if isinstance(result, TangentEllipse):
         return TangentEllipse(*(_to_numpy(field, shape) for field in result))
@@ -76,9 +102,9 @@ def _stack(values, shape: tuple[int, ...]) -> np.ndarray:
     return array.reshape(*shape, *array.shape[1:])
 
 
-def _or_zero(value):
-    """Nothing beyond some 1e18 sizes, where the cone leaves the range of single precision."""
-    return dr.select(dr.isfinite(value), value, 0)
+def _or_zero(view: View, value):
+    """Nothing inside a solid, nor beyond some 1e18 sizes, where single precision has no cone."""
+    return dr.select(view.outside & dr.isfinite(value), value, 0)
 
 
 @_accepts_numpy
@@ -88,7 +114,7 @@ def solid_angle(to_world, point):
     Parameters
     ----------
     to_world
-        Transform of the light, or its matrix.
+        Transform of the light, or its matrix; or an `Ellipsoid`.
     point
         World-space points.
 
@@ -98,7 +124,8 @@ def solid_angle(to_world, point):
         Steradians, with a relative error of 1e-6 or ten times that of rounding the input to single
         precision, whichever is larger. Between 0 and 2π; 0 where it is below 1e-38.
     """
-    return _or_zero(cone.solid_angle(_view(to_world, point).cone))
+    view = _view(to_world, point)
+    return _or_zero(view, cone.solid_angle(view.cone))
 
 
 @_accepts_numpy
@@ -108,9 +135,10 @@ def tangent_ellipse(to_world, point) -> TangentEllipse:
     Parameters
     ----------
     to_world
-        Transform of the light, or its matrix.
+        Transform of the light, or its matrix; or an `Ellipsoid`.
     point
-        World-space points. Beyond some 1e18 sizes of the light the result is not finite.
+        World-space points. Inside an ellipsoid, and beyond some 1e18 sizes of a light, the result
+        says nothing, or is not finite.
     """
     view = _view(to_world, point)
     seen = view.cone
@@ -128,12 +156,12 @@ def vector_irradiance(to_world, point):
     Parameters
     ----------
     to_world
-        Transform of the light, or its matrix.
+        Transform of the light, or its matrix; or an `Ellipsoid`.
     point
         World-space points.
     """
     view = _view(to_world, point)
-    return _or_zero(view.light.to_world(cone.vector_irradiance(view.cone)))
+    return _or_zero(view, view.light.to_world(cone.vector_irradiance(view.cone)))
 
 
 @_accepts_numpy
@@ -143,7 +171,7 @@ def irradiance(to_world, point, normal):
     Parameters
     ----------
     to_world
-        Transform of the light, or its matrix.
+        Transform of the light, or its matrix; or an `Ellipsoid`.
     point
         World-space points.
     normal
@@ -159,8 +187,33 @@ def irradiance(to_world, point, normal):
     seen = view.cone
     frame = [view.light.to_world(axis) for axis in (seen.x, seen.y, seen.z)]
     local = mi.Vector3f(*(dr.dot(mi.Vector3f(normal), axis) for axis in frame))
-    return _or_zero(clipped(seen.ta, seen.tb, local))
+    # Scalar variants fail at a division by zero, and a solid has no cone from inside.
+    ta, tb = (dr.select(view.outside, tangent, 1) for tangent in (seen.ta, seen.tb))
+    local = dr.select(view.outside, local, mi.Vector3f(0, 0, 1))
+    return _or_zero(view, clipped(ta, tb, local))
 
 
-def _view(to_world, point) -> ellipse.View:
-    return ellipse.from_transform(to_world).seen_from(mi.Point3f(point))
+def tessellate(to_world, segments: int = 64, props: mi.Properties | None = None) -> mi.Mesh:
+    """Triangle mesh of a light, for previews and for comparing with mesh lights.
+
+    Parameters
+    ----------
+    to_world
+        Transform of the light, or its matrix; or an `Ellipsoid`.
+    segments
+        Number of triangles of an ellipse, at least 3; number of edges around an ellipsoid, at least
+        5. The errors of both are those of `geometry.mesh`.
+    props
+        Properties of the mesh, such as a BSDF or an emitter.
+    """
+    if isinstance(to_world, Ellipsoid):
+        return tessellate_ellipsoid(to_world.to_world, segments, props)
+    return tessellate_ellipse(to_world, segments, props)
+
+
+def _view(to_world, point) -> View:
+    solid = isinstance(to_world, Ellipsoid)
+    light = (ellipsoid if solid else ellipse).from_transform(
+        to_world.to_world if solid else to_world
+    )
+    return light.seen_from(mi.Point3f(point))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 
-from ..geometry.ellipse import StoredEllipse, View
+from ..geometry.ellipse import StoredEllipse
+from ..geometry.ellipsoid import StoredEllipsoid
 from ..geometry.tracing import take
 from .estimate import irradiance
 
@@ -33,12 +34,27 @@ class Choice(NamedTuple):
 class Members:
     """The lamps of a group, an element a slot; a slot of no power is empty."""
 
-    stored: StoredEllipse
     power: mi.Float  # Sampling weight times mean radiance
+    planar: StoredEllipse | None  # None if all lamps are solids
+    solid: StoredEllipsoid | None  # None if all lamps are planar
+    is_solid: mi.Bool
 
-    def view(self, slot: mi.UInt32, point: mi.Point3f) -> View:
-        """The light in a slot as it is seen from a point."""
-        return take(StoredEllipse, self.stored, slot).light().seen_from(point)
+    def kinds(self) -> list[tuple[type, Any]]:
+        """Type and arrays of each kind of light that the group has."""
+        kinds = [(StoredEllipse, self.planar), (StoredEllipsoid, self.solid)]
+        return [(kind, arrays) for kind, arrays in kinds if arrays is not None]
+
+    def estimate(self, slot: mi.UInt32, it: mi.Interaction3f) -> tuple[mi.Float, mi.Float]:
+        """`irradiance` of the light in a slot, and its `View.root`."""
+        found = []
+        for kind, arrays in self.kinds():
+            view = take(kind, arrays, slot).light().seen_from(it.p)
+            found.append((irradiance(view, it.n), view.root))
+        if len(found) == 1:
+            return found[0]
+        solid = take(mi.Bool, self.is_solid, slot)
+        planar, round_ = found
+        return tuple(dr.select(solid, b, a) for a, b in zip(planar, round_, strict=True))
 
 
 def choose(
@@ -95,10 +111,11 @@ def _shares(
     """Probability of each slot, and the roots of the lights in them."""
     gains, roots, powers = [], [], []
     for k in range(count):
-        view = members.view(first + mi.UInt32(k), it.p)
-        powers.append(take(mi.Float, members.power, first + mi.UInt32(k)))
-        gains.append(powers[k] * irradiance(view, it.n))
-        roots.append(view.root)
+        slot = first + mi.UInt32(k)
+        gain, root = members.estimate(slot, it)
+        powers.append(take(mi.Float, members.power, slot))
+        gains.append(powers[k] * gain)
+        roots.append(root)
     total = sum(gains[1:], gains[0])
     some = (total > 0) & (total < dr.inf)
     inverse = (1 - EQUAL_SHARE) * dr.select(some, dr.rcp(dr.select(some, total, 1)), 0)

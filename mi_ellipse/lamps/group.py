@@ -11,12 +11,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry import ellipse
 from ..geometry.ellipse import StoredEllipse
+from ..geometry.ellipsoid import StoredEllipsoid
+from ..geometry.light import StoredLight, field_values
 from ..geometry.tracing import branch, instance_number, take
+from ..sampling.strategy import Strategy
 from . import choice, tree
 from .choice import Choice, Members
-from ..sampling.strategy import Strategy
 from .lamp import Lamp, density_of, draw_from
 from .tree import Lights, Tree
 
@@ -59,7 +60,7 @@ class Group:
     members: Members = field(init=False)
     nodes: Tree | None = field(init=False, default=None)  # None for few lamps
     radiance: mi.UnpolarizedSpectrum = field(init=False)
-    strategy: mi.UInt32 = field(init=False)  # Place in the list of the group's strategies
+    behaviour: mi.UInt32 = field(init=False)  # Place in the list of the group's behaviours
     emitter: mi.UInt32 = field(init=False)
     slot: mi.UInt32 = field(init=False)  # By registry number
     start: mi.Float = field(init=False)  # Sum of the weights of the lamps before, of a sum of 1
@@ -70,12 +71,9 @@ class Group:
     ) -> None:
         self._lamps = list(lamps)
         self._draw_once, self._density_once = _Once(len(lamps)), _Once(len(lamps))
-        rows = [_Row.of(lamp) for lamp in lamps]
-        self._matrices = np.stack([row.matrix for row in rows])
-        self._brightness = np.array([row.brightness for row in rows])
-        self._colours = [row.colour for row in rows]
-        self._emitters = list(emitters)
+        self._rows = [_Row.of(lamp) for lamp in lamps]
         self._weights = np.array(weights, dtype=float)
+        self._emitters = list(emitters)
         self._arrange()
 
     def __len__(self) -> int:
@@ -85,66 +83,61 @@ class Group:
 
     def refresh(self, lamp: Lamp, weight: float) -> None:
         """Follow a change of a member's parameters."""
-        place = next(k for k, member in enumerate(self._lamps) if member is lamp)
-        row = _Row.of(lamp)
-        self._matrices[place], self._brightness[place] = row.matrix, row.brightness
-        self._colours[place], self._weights[place] = row.colour, weight
+        place = self._place_of(lamp)
+        self._rows[place], self._weights[place] = _Row.of(lamp), weight
         self._arrange()
 
     def _arrange(self) -> None:
         """Put the lamps into slots and make the arrays."""
         count = len(self._lamps)
-        lights = _lights(self._matrices, self._brightness * self._weights)
+        brightness = np.array([row.brightness for row in self._rows]) * self._weights
         if count > FEW:
+            lights = _lights(self._rows, brightness)
             slots = tree.arrange(lights)
             self.nodes = tree.build(lights, slots)
         else:
             slots, self.nodes = np.arange(count), None
-        there = slots >= 0
-        rows = np.where(there, slots, 0)
+        rows = np.where(slots >= 0, slots, 0)  # An empty slot has the numbers of some lamp
 
-        self._strategies, strategies = _distinct(self._lamps)
-        stored = [lamp.stored for lamp in self._lamps]
-        self.members = Members(
-            stored=[stored[k] for k in rows] if _scalar() else _stored(self._matrices[rows]),
-            power=_array(mi.Float, np.where(there, (self._brightness * self._weights)[rows], 0)),
+        self.members = _members(
+            [self._rows[k] for k in rows], np.where(slots >= 0, brightness[rows], 0)
         )
-        self.strategy = _array(mi.UInt32, strategies[rows])
-        self._make_radiance(rows)
+        self._behaviours, behaviours = _distinct(self._lamps)
+        self.behaviour = _array(mi.UInt32, behaviours[rows])
         share = self._weights / self._weights.sum()
         self.start = _array(mi.Float, (np.cumsum(share) - share)[rows])
         self.width = _array(mi.Float, share[rows])
+        self._make_radiance(rows)
         self._make_pointers(slots, rows)
         if not _scalar():
             dr.eval(self)
 
     def _make_radiance(self, rows: np.ndarray) -> None:
         """Radiance of a slot; none if a lamp has more than one colour."""
-        uniform = all(colour is not None for colour in self._colours)
-        self._uniform = uniform
+        colours = [row.colour for row in self._rows]
+        self._uniform = all(colour is not None for colour in colours)
+        self._values = [row.value for row in self._rows]
         if _scalar():
-            self.radiance = [self._colours[k] for k in rows] if uniform else []
+            self.radiance = [colours[k] for k in rows] if self._uniform else []
             return
-        width = dr.size_v(mi.UnpolarizedSpectrum)
-        colours = np.zeros((len(rows), width))
-        if uniform:
-            colours = np.array([np.array(dr.detach(c)).ravel() for c in self._colours])[rows]
-        self.radiance = mi.UnpolarizedSpectrum(np.float32(colours.T))
+        plain = np.zeros((len(rows), dr.size_v(mi.UnpolarizedSpectrum)))
+        if self._uniform:
+            plain = np.array([np.array(dr.detach(c)).ravel() for c in colours])[rows]
+        self.radiance = mi.UnpolarizedSpectrum(np.float32(plain.T))
 
     def _make_pointers(self, slots: np.ndarray, rows: np.ndarray) -> None:
         """Emitter of a slot, and slot of an emitter."""
         place = np.empty(len(self._lamps), dtype=np.uint32)
         place[slots[slots >= 0]] = np.flatnonzero(slots >= 0)
+        self._slots = place
         if _scalar():
-            self.emitter = [self._emitters[k] for k in rows]
-            self.slot = [int(p) for p in place]
+            self.emitter, self.slot = [self._emitters[k] for k in rows], []
             return
         numbers = np.array(self._emitters, dtype=np.uint32)
         by_number = np.zeros(numbers.max() + 1, dtype=np.uint32)
         by_number[numbers] = place
         self.emitter = mi.UInt32(numbers[rows])
         self.slot = mi.UInt32(by_number)
-        self._slots = place
 
     # ---- Directions ----
 
@@ -180,7 +173,7 @@ class Group:
         return ds, self._radiance(it, ds, slot, lit) * inverse
 
     def _radiance(self, it, ds, slot, lit):
-        if self._uniform and not dr.grad_enabled(self._colours):
+        if self._uniform and not dr.grad_enabled(self._values):
             return mi.depolarizer(take(mi.UnpolarizedSpectrum, self.radiance, slot))
         return ds.emitter.eval_direction(it, ds, lit)
 
@@ -189,9 +182,8 @@ class Group:
             width = take(mi.Float, self.width, asked)
             x = dr.fma(width, u.x, take(mi.Float, self.start, asked))
             chosen = self._choose(it, dr.minimum(x, choice.LAST))
-            stored = take(StoredEllipse, self.members.stored, chosen.slot)
             u = mi.Point2f(chosen.u, u.y)
-            *drawn, pdf = self._by_strategy(draw_from, chosen.slot, stored, chosen.root, it, u)
+            *drawn, pdf = self._by_behaviour(draw_from, chosen.slot, chosen.root, it, u)
             return *drawn, pdf * (chosen.probability / width), chosen.slot
 
     def _pdf_direction(self, lamp, it, d, active):
@@ -204,8 +196,7 @@ class Group:
                 share, root = choice.probability(self.members, first, count, it, slot)
             else:
                 share, root = self.nodes.probability(self.members, it, slot)
-            stored = take(StoredEllipse, self.members.stored, slot)
-            pdf = self._by_strategy(density_of, slot, stored, root, it, d)
+            pdf = self._by_behaviour(density_of, slot, root, it, d)
             return pdf * share / take(mi.Float, self.width, slot)
 
     def _choose(self, it: mi.Interaction3f, u: mi.Float) -> Choice:
@@ -213,20 +204,30 @@ class Group:
             return choice.choose(self.members, mi.UInt32(0), len(self._lamps), it, u)
         return self.nodes.choose(self.members, it, u)
 
-    def _by_strategy(self, function: Callable, slot: mi.UInt32, *arguments: Any) -> Any:
-        """Call a function of `lamp` with the strategy of the lamp in a slot."""
-        functions = [partial(function, strategy) for strategy in self._strategies]
-        if len(functions) == 1:
-            return functions[0](*arguments)
-        return dr.switch(take(mi.UInt32, self.strategy, slot), functions, *arguments)
+    def _by_behaviour(
+        self, function: Callable, slot: mi.UInt32, root: mi.Float, it: mi.Interaction3f, argument
+    ) -> Any:
+        """Call a function of `lamp` with the strategy and the light of the lamp in a slot."""
+
+        def call(kind, arrays, strategy, slot, root, it, argument):
+            return function(strategy, take(kind, arrays, slot), root, it, argument)
+
+        kinds = dict(self.members.kinds())
+        calls = [partial(call, kind, kinds[kind], strategy) for kind, strategy in self._behaviours]
+        arguments = slot, root, it, argument
+        if len(calls) == 1:
+            return calls[0](*arguments)
+        return dr.switch(take(mi.UInt32, self.behaviour, slot), calls, *arguments)
+
+    def _place_of(self, lamp: Lamp) -> int:
+        return next(k for k, member in enumerate(self._lamps) if member is lamp)
 
     def _slot_of(self, lamp: Lamp) -> mi.UInt32:
         """Slot of the member whose method is called."""
         number = None if _scalar() else instance_number()
         if number is not None:
             return dr.gather(mi.UInt32, self.slot, number)
-        place = next(k for k, member in enumerate(self._lamps) if member is lamp)
-        return mi.UInt32(int(self.slot[place]) if _scalar() else int(self._slots[place]))
+        return mi.UInt32(int(self._slots[self._place_of(lamp)]))
 
 
 class _Once:
@@ -272,19 +273,70 @@ def _shared_trace() -> bool:
 class _Row:
     """What a group needs of a lamp."""
 
-    matrix: np.ndarray  # (4, 4), transform of the unit disk
+    stored: StoredLight
+    fields: dict[str, np.ndarray]  # Of the stored light, in NumPy
     brightness: float  # Mean of the radiance
-    colour: mi.UnpolarizedSpectrum | None  # Radiance, if it is the same at all points and RGB or grey
+    colour: mi.UnpolarizedSpectrum | None  # Radiance, if it is one colour, and no spectrum
+    value: Any  # The colour's parameter, which derivatives may follow
 
     @classmethod
     def of(cls, lamp: Lamp) -> _Row:
-        matrix = np.array(lamp.to_world.matrix, dtype=float).reshape(4, 4)
+        values = field_values(lamp.stored)
+        fields = {name: np.array(value).reshape(-1) for name, value in values.items()}
         radiance = lamp.radiance
         if mi.is_spectral or radiance.is_spatially_varying():
-            return cls(matrix, float(np.array(dr.detach(radiance.mean())).ravel()[0]), None)
+            mean = float(np.array(dr.detach(radiance.mean())).ravel()[0])
+            return cls(lamp.stored, fields, mean, None, None)
         colour = radiance.eval(dr.zeros(mi.SurfaceInteraction3f))
-        plain = np.array(dr.detach(colour), dtype=float).ravel()
-        return cls(matrix, float(plain.mean()), colour)
+        mean = float(np.mean(np.array(dr.detach(colour), dtype=float)))
+        return cls(lamp.stored, fields, mean, colour, mi.traverse(radiance)["value"])
+
+
+def _members(rows: Sequence[_Row], power: np.ndarray) -> Members:
+    """Arrays of the lights in the slots; a place of the wrong kind repeats one of the right kind."""
+    solid = np.array([isinstance(row.stored, StoredEllipsoid) for row in rows])
+    arrays = {}
+    for name, kind, right in (
+        ("planar", StoredEllipse, ~solid),
+        ("solid", StoredEllipsoid, solid),
+    ):
+        some = np.flatnonzero(right)
+        chosen = [rows[k if right[k] else some[0]] for k in range(len(rows))] if some.size else None
+        arrays[name] = _stack(kind, chosen) if chosen else None
+    return Members(power=_array(mi.Float, power), is_solid=_array(mi.Bool, solid), **arrays)
+
+
+def _stack(kind: type, rows: Sequence[_Row]) -> StoredLight | list[StoredLight]:
+    """One record of arrays of many records; the records themselves in scalar variants."""
+    if _scalar():
+        return [row.stored for row in rows]
+    types = {name: type(value) for name, value in field_values(rows[0].stored).items()}
+    columns = {
+        name: np.stack([row.fields[name] for row in rows], axis=-1) for name in rows[0].fields
+    }
+    return kind(
+        **{
+            name: types[name](column[0] if len(column) == 1 else column)
+            for name, column in columns.items()
+        }
+    )
+
+
+def _lights(rows: Sequence[_Row], brightness: np.ndarray) -> Lights:
+    """Places, directions, sizes and powers of lamps. A solid shines all around."""
+    centre = np.array([row.fields["centre"] for row in rows], dtype=float)
+    ex, ey = (np.array([row.fields[name] for row in rows], dtype=float) for name in ("ex", "ey"))
+    radius = np.array([row.fields["lx"][0] for row in rows], dtype=float)
+    ratio = np.array([row.fields["ratio"][0] for row in rows])
+    solid = np.array([isinstance(row.stored, StoredEllipsoid) for row in rows])
+    # What a solid shows of itself is about as large as its largest cross section.
+    return Lights(
+        centre=centre,
+        normal=np.cross(ex, ey),
+        all_around=solid,
+        radius=radius,
+        power=brightness * np.pi * radius**2 * ratio,
+    )
 
 
 def _draw_nothing(u):
@@ -313,36 +365,18 @@ def _without_lookup():
     return dr.scoped_set_flag(dr.JitFlag.ValueNumbering, False)
 
 
-def _distinct(lamps: Sequence[Lamp]) -> tuple[list[Strategy], np.ndarray]:
-    """Strategies of lamps, each once, and the place of each lamp's in the list."""
-    kinds: dict[Any, Strategy] = {}
-    keys = [lamp.strategy if lamp.follows_texture else lamp.sampling for lamp in lamps]
-    for key, lamp in zip(keys, lamps, strict=True):
-        kinds.setdefault(key, lamp.strategy)
-    places = {key: place for place, key in enumerate(kinds)}
-    return list(kinds.values()), np.array([places[key] for key in keys], dtype=np.uint32)
-
-
-def _batch(matrices: np.ndarray) -> mi.Matrix4d:
-    return mi.Matrix4d(np.ascontiguousarray(np.moveaxis(matrices, 0, -1)))
-
-
-def _stored(matrices: np.ndarray) -> StoredEllipse:
-    return ellipse.from_transform(_batch(matrices)).stored()
+def _distinct(lamps: Sequence[Lamp]) -> tuple[list[tuple[type, Strategy]], np.ndarray]:
+    """Kinds of lights with strategies, each pair once, and the place of each lamp's in the list."""
+    pairs: dict[Any, tuple[type, Strategy]] = {}
+    keys = []
+    for lamp in lamps:
+        kind = type(lamp.stored)
+        keys.append((kind, lamp.strategy if lamp.follows_texture else lamp.sampling))
+        pairs.setdefault(keys[-1], (kind, lamp.strategy))
+    places = {key: place for place, key in enumerate(pairs)}
+    return list(pairs.values()), np.array([places[key] for key in keys], dtype=np.uint32)
 
 
 def _array(dtype: type, values: np.ndarray) -> Any:
     """Dr.Jit array, or list in scalar variants."""
     return values.tolist() if _scalar() else dtype(values)
-
-
-def _lights(matrices: np.ndarray, brightness: np.ndarray) -> Lights:
-    """Centres, normals, sizes and powers of the images of the unit disk."""
-    u, w, z = (matrices[:, :3, k] for k in range(3))
-    across = np.cross(u, w)
-    size = np.linalg.norm(across, axis=1)
-    side = np.sign(np.einsum("ij,ij->i", across, z))
-    # The longer semi-axis is the first singular value.
-    radius = np.linalg.svd(matrices[:, :3, :2], compute_uv=False)[:, 0]
-    normal = across * (side / size)[:, None]
-    return Lights(matrices[:, :3, 3], normal, radius, brightness * np.pi * size)

@@ -9,10 +9,9 @@ from typing import NamedTuple
 import drjit as dr
 import mitsuba as mi
 
-from ..geometry import ellipse
-from ..geometry.ellipse import StoredEllipse
+from ..geometry.light import Light, StoredLight
 from ..geometry.tracing import branch
-from ..sampling import find
+from ..sampling import STRATEGIES, find
 from ..sampling.strategy import Strategy
 from .textured import Textured, follows_texture
 
@@ -56,21 +55,37 @@ class Lamp:
 
     radiance: mi.Texture
     sampling: str
-    stored: StoredEllipse | None = None
+    stored: StoredLight | None = None
 
     def __post_init__(self) -> None:
+        self.planar = True  # Until the lamp is placed
         self.follow_radiance()
 
-    def place(self, to_world: mi.AffineTransform4f) -> None:
-        """Take the geometry from the transform of the unit disk, as values of their own."""
-        self.to_world = dr.detach(to_world)
-        self.stored = ellipse.from_transform(self.to_world).stored()
-        dr.make_opaque(self.stored)
+    def place(self, light: Light) -> None:
+        """Take the geometry, as values of the lamp's own.
+
+        Raises
+        ------
+        ValueError
+            If the strategy cannot sample a light of this kind.
+        """
+        if not light.planar and find(self.sampling).planar:
+            able = ", ".join(name for name, entry in STRATEGIES.items() if not entry.planar)
+            raise ValueError(
+                f'sampling="{self.sampling}" is for planar lamps, and this one is a solid; choose '
+                f"one of {able}"
+            )
+        stored = light.stored()
+        dr.make_opaque(stored)
+        self.stored = stored
+        if self.planar != light.planar:
+            self.planar = light.planar
+            self.follow_radiance()
 
     def follow_radiance(self) -> None:
         """Choose how to draw for the radiance as it is now."""
         self.strategy = find(self.sampling).make()
-        self.follows_texture = follows_texture(self.radiance)
+        self.follows_texture = self.planar and follows_texture(self.radiance)
         if self.follows_texture:
             self.strategy = Textured(self.strategy, self.radiance)
 
@@ -119,22 +134,20 @@ class Lamp:
     def sample_position(
         self, u: mi.Point2f, active: mi.Mask
     ) -> tuple[mi.Point3f, mi.Normal3f, mi.Point2f]:
-        """Point of the lamp, normal and uv, by the texture or uniform on the surface."""
-        light = self.stored.light()
-        if self.follows_texture:
-            uv = self.strategy.sample_position(u, active)
-            a, b = light.from_uv(uv)
-        else:
-            a, b = light.from_disk(mi.warp.square_to_uniform_disk_concentric(u))
-            uv = light.uv(a, b)
-        return light.point(a, b), mi.Normal3f(light.normal), uv
-
-    def pdf_position(self, uv: mi.Point2f) -> mi.Float:
-        """Density per area of `sample_position`."""
+        """Point of the lamp, normal and uv, by the texture or as the light draws its surface."""
         light = self.stored.light()
         if not self.follows_texture:
-            return dr.rcp(light.area)
-        return self.strategy.texture_density(uv) / light.area
+            return light.sample_surface(u)
+        uv = self.strategy.sample_position(u, active)
+        a, b = light.from_uv(uv)
+        return light.point(a, b), mi.Normal3f(light.normal), uv
+
+    def pdf_position(self, p: mi.Point3f, uv: mi.Point2f) -> mi.Float:
+        """Density per area of `sample_position`."""
+        density = self.stored.light().surface_pdf(p)
+        if self.follows_texture:
+            density *= self.strategy.texture_density(uv)
+        return density
 
 
 def draw_from(

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry.ellipse import View
+from ..geometry.ellipse import EllipseView
 from ..geometry.tracing import TINY
 
 # Least share of either kind of draws: the other's second moment grows by at most 1 / (1 - this).
@@ -19,7 +19,7 @@ class Record(NamedTuple):
     """What is computed once per reference point."""
 
     strategy: Any  # Record of the wrapped strategy
-    view: View
+    view: EllipseView
     share: mi.Float  # of the draws that follow the texture
 
 
@@ -53,7 +53,7 @@ class Textured:
         self.contrast, self.spread = mi.Float(contrast), mi.Float(spread)
         dr.make_opaque(self.contrast, self.spread)
 
-    def prepare(self, view: View, normal: mi.Normal3f) -> Record:
+    def prepare(self, view: EllipseView, normal: mi.Normal3f) -> Record:
         """Record of the strategy, and the share of the texture."""
         seen = view.cone
         # Of the texture alone, near the light: that of area sampling on the axis of a large disk

@@ -123,7 +123,8 @@ class Lights:
 
     centre: np.ndarray  # (n, 3)
     normal: np.ndarray  # (n, 3), unit
-    radius: np.ndarray  # (n,), longer semi-axis
+    all_around: np.ndarray  # (n,), True for a lamp that shines in all directions
+    radius: np.ndarray  # (n,), longest semi-axis
     power: np.ndarray  # (n,), radiance times area times sampling weight
 
 
@@ -154,21 +155,17 @@ def arrange(lights: Lights) -> np.ndarray:
 
 
 def build(lights: Lights, slots: np.ndarray) -> Tree:
-    """Nodes over the arranged lamps, from the leaves upwards."""
+    """Nodes over the arranged lamps, of two leaves at least, from the leaves upwards."""
     there = slots >= 0
     power = np.where(there, lights.power[slots], 0.0)
     centre, normal = lights.centre[slots], lights.normal[slots]
     radius = np.where(there, lights.radius[slots], 0.0)
+    all_around = there & lights.all_around[slots]
     levels = []
     width = LEAF
     while width < len(slots):
-        levels.append(_level(width, there, power, centre, normal, radius))
+        levels.append(_level(width, there, power, centre, normal, radius, all_around))
         width *= 2
-    if not levels:
-        levels.append(_level(len(slots), there, power, centre, normal, radius))
-        depth = 0
-    else:
-        depth = len(levels)
     nodes = [np.concatenate(parts) for parts in zip(*reversed(levels), strict=True)]
     middle, radius2, axis, cos_spread, total = nodes
     return Tree(
@@ -177,13 +174,15 @@ def build(lights: Lights, slots: np.ndarray) -> Tree:
         axis=mi.Vector3f(np.float32(axis.T)),
         cos_spread=mi.Float(np.float32(cos_spread)),
         power=mi.Float(np.float32(total)),
-        depth=depth,
+        depth=len(levels),
     )
 
 
-def _level(width, there, power, centre, normal, radius) -> tuple[np.ndarray, ...]:
+def _level(width, there, power, centre, normal, radius, all_around) -> tuple[np.ndarray, ...]:
     """Nodes that hold `width` slots each."""
-    there, power, radius = (v.reshape(-1, width) for v in (there, power, radius))
+    there, power, radius, all_around = (
+        v.reshape(-1, width) for v in (there, power, radius, all_around)
+    )
     centre, normal = (v.reshape(-1, width, 3) for v in (centre, normal))
     total = power.sum(1)
     # A dark lamp still has a place in its node.
@@ -195,6 +194,7 @@ def _level(width, there, power, centre, normal, radius) -> tuple[np.ndarray, ...
     axis = (weight[..., None] * normal).sum(1)
     length = np.linalg.norm(axis, axis=1, keepdims=True)
     axis = np.where(length > 1e-6, axis / np.maximum(length, 1e-6), [0.0, 0, 1])
-    cosine = np.where(there, (normal * axis[:, None]).sum(2), 1).min(1)
+    cosine = np.where(there, (normal * axis[:, None]).sum(2), 1)
+    cosine = np.where(all_around, -1, cosine).min(1)
     # Rounded outwards to single precision
     return middle, reach**2 * (1 + 1e-5), axis, np.clip(cosine - 1e-6, -1, 1), total

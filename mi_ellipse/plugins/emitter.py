@@ -95,7 +95,16 @@ def define(variant: str) -> type:
             )
 
         def eval(self, si, active=True):
-            return self._radiance(si, active & (mi.Frame3f.cos_theta(si.wi) > 0))
+            return self._radiance(si, active & self._faces(si))
+
+        def _faces(self, si):
+            """Tell whether a point of the lamp is seen from its emitting side.
+
+            The interpolated normals of an ellipsoid's mesh face away near its silhouette.
+            """
+            if self.lamp.planar:
+                return mi.Frame3f.cos_theta(si.wi) > 0
+            return dr.dot(si.n, si.to_world(si.wi)) > 0
 
         def _radiance(self, si, lit):
             return mi.depolarizer(dr.select(lit, self.lamp.radiance.eval(si, lit), 0))
@@ -110,12 +119,14 @@ def define(variant: str) -> type:
                 ps.p, ps.n, ps.uv = self.lamp.sample_position(sample, active)
                 ps.time = time
                 ps.delta = False
-                ps.pdf = self.lamp.pdf_position(ps.uv)
+                ps.pdf = self.lamp.pdf_position(ps.p, ps.uv)
                 valid = active & (ps.pdf > 0)
                 return ps, dr.select(valid, dr.rcp(dr.select(valid, ps.pdf, 1)), 0)
 
         def pdf_position(self, ps, active=True):
-            return dr.select(active, self.lamp.pdf_position(ps.uv), 0) if self._attached() else 0
+            return (
+                dr.select(active, self.lamp.pdf_position(ps.p, ps.uv), 0) if self._attached() else 0
+            )
 
         def sample_ray(self, time, sample1, sample2, sample3, active=True):
             ps, weight = self.sample_position(time, sample2, active)

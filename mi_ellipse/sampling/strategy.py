@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol, TypeVar
 
 import mitsuba as mi
 
-from ..geometry.ellipse import View
+from ..geometry.light import View
 
 Record = TypeVar("Record")
 
@@ -16,7 +17,8 @@ Record = TypeVar("Record")
 class Strategy(Protocol[Record]):
     """How two random numbers become a direction towards a light.
 
-    Directions are given along the light's own frame, for an ellipse ``(ex, ey, normal)``. `sample`
+    Directions are given along the light's own frame, for an ellipse ``(ex, ey, normal)``. No
+    strategy asks which light it sees; one for planar lights alone says so in its entry. `sample`
     and `pdf` take the density from one function, so that they cannot disagree.
 
     Dr.Jit merges no equal operations while it traces a strategy (`mi_ellipse.lamps.lamp`). So what
@@ -65,18 +67,22 @@ class Entry:
     mark: str  # In figures, a marker of matplotlib
     sentence: str  # In the documentation
     make: Callable[[], Strategy[Any]]
+    planar: bool = False  # For planar lights alone
 
 
 STRATEGIES: dict[str, Entry] = {}
 DEFAULT = "solid_angle"
 
 
-def register(name: str, colour: str, mark: str, sentence: str, **options: Any) -> Callable:
+def register(
+    name: str, colour: str, mark: str, sentence: str, planar: bool = False, **options: Any
+) -> Callable:
     """Enter a class under a name; `options` go to its constructor."""
 
     def enter(cls: type) -> type:
         label = name.replace("_", " ")
-        STRATEGIES[name] = Entry(name, label, colour, mark, sentence, lambda: cls(**options))
+        make = partial(cls, **options)
+        STRATEGIES[name] = Entry(name, label, colour, mark, sentence, make, planar)
         return cls
 
     return enter
