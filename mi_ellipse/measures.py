@@ -1,7 +1,8 @@
-"""Solid angle, tangent ellipse and irradiance of an elliptical light: the numbers, not a picture.
+"""Solid angle, tangent ellipse and irradiance of a light: the numbers, not a picture.
 
-Every function takes the transform of a light, and points. The light is the image of the unit disk
-under the transform (see `ellipse.from_transform`). It counts from both of its sides.
+Every function takes a light, and points. A transform alone stands for an ellipse: the image of the
+unit disk under the transform (see `ellipse.from_transform`). It counts from both of its sides. An
+`Ellipsoid` is the image of the unit ball. It counts from outside.
 
 Transform and points are Mitsuba types of the current variant, or NumPy arrays of the shapes (4, 4)
 and (…, 3). The result for NumPy arrays is a NumPy array.
@@ -9,18 +10,21 @@ and (…, 3). The result for NumPy arrays is a NumPy array.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import wraps
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .geometry import cone, ellipse
+from .geometry import cone, ellipse, ellipsoid
 from .geometry.irradiance import clipped
-from .geometry.mesh import tessellate
+from .geometry.light import View
+from .geometry.mesh import tessellate_ellipse, tessellate_ellipsoid
 
 __all__ = [
+    "Ellipsoid",
     "TangentEllipse",
     "irradiance",
     "solid_angle",
@@ -28,6 +32,21 @@ __all__ = [
     "tessellate",
     "vector_irradiance",
 ]
+
+
+@dataclass(frozen=True)
+class Ellipsoid:
+    """An ellipsoid, as the functions of this module take it instead of a transform.
+
+    ``mi_ellipse.solid_angle(mi_ellipse.Ellipsoid(to_world), point)``
+
+    Parameters
+    ----------
+    to_world
+        Transform of the ellipsoid, or its matrix: the image of the unit ball. Semi-axes are scales.
+    """
+
+    to_world: Any
 
 
 class TangentEllipse(NamedTuple):
@@ -45,8 +64,7 @@ def _accepts_numpy(function):
 
     @wraps(function)
     def wrapped(to_world, *vectors):
-        if isinstance(to_world, np.ndarray):
-            to_world = mi.ScalarAffineTransform4d(np.asarray(to_world, dtype=float))
+        to_world = _from_numpy(to_world)
         if not any(isinstance(v, np.ndarray) for v in vectors):
             return function(to_world, *map(mi.Vector3f, vectors))
 
@@ -65,6 +83,14 @@ def _accepts_numpy(function):
     return wrapped
 
 
+def _from_numpy(to_world):
+    if isinstance(to_world, Ellipsoid):
+        return Ellipsoid(_from_numpy(to_world.to_world))
+    if isinstance(to_world, np.ndarray):
+        return mi.ScalarAffineTransform4d(np.asarray(to_world, dtype=float))
+    return to_world
+
+
 def _to_numpy(result, shape: tuple[int, ...]):
     if isinstance(result, TangentEllipse):
         return TangentEllipse(*(_to_numpy(field, shape) for field in result))
@@ -77,9 +103,9 @@ def _stack(values, shape: tuple[int, ...]) -> np.ndarray:
     return array.reshape(*shape, *array.shape[1:])
 
 
-def _or_zero(value):
-    """Zero beyond some 1e18 sizes, where the cone leaves the range of single precision."""
-    return dr.select(dr.isfinite(value), value, 0)
+def _or_zero(view: View, value):
+    """Nothing inside a solid, nor beyond some 1e18 sizes, where single precision has no cone."""
+    return dr.select(view.outside & dr.isfinite(value), value, 0)
 
 
 @_accepts_numpy
@@ -89,7 +115,7 @@ def solid_angle(to_world, point):
     Parameters
     ----------
     to_world
-        Transform of the light, or its matrix.
+        Transform of the light, or its matrix; or an `Ellipsoid`.
     point
         World-space points.
 
@@ -99,7 +125,8 @@ def solid_angle(to_world, point):
         Steradians, between 0 and 2π; 0 where the solid angle is below 1e-38. The relative error is
         1e-6, or ten times the error of rounding the input to single precision if that is larger.
     """
-    return _or_zero(cone.solid_angle(_view(to_world, point).cone))
+    view = _view(to_world, point)
+    return _or_zero(view, cone.solid_angle(view.cone))
 
 
 @_accepts_numpy
@@ -109,9 +136,10 @@ def tangent_ellipse(to_world, point) -> TangentEllipse:
     Parameters
     ----------
     to_world
-        Transform of the light, or its matrix.
+        Transform of the light, or its matrix; or an `Ellipsoid`.
     point
-        World-space points. The result is not finite beyond some 1e18 sizes of the light.
+        World-space points. Inside an ellipsoid, and beyond some 1e18 sizes of a light, the result
+        says nothing, or is not finite.
     """
     view = _view(to_world, point)
     seen = view.cone
@@ -129,12 +157,12 @@ def vector_irradiance(to_world, point):
     Parameters
     ----------
     to_world
-        Transform of the light, or its matrix.
+        Transform of the light, or its matrix; or an `Ellipsoid`.
     point
         World-space points.
     """
     view = _view(to_world, point)
-    return _or_zero(view.light.to_world(cone.vector_irradiance(view.cone)))
+    return _or_zero(view, view.light.to_world(cone.vector_irradiance(view.cone)))
 
 
 @_accepts_numpy
@@ -144,7 +172,7 @@ def irradiance(to_world, point, normal):
     Parameters
     ----------
     to_world
-        Transform of the light, or its matrix.
+        Transform of the light, or its matrix; or an `Ellipsoid`.
     point
         World-space points.
     normal
@@ -160,8 +188,33 @@ def irradiance(to_world, point, normal):
     seen = view.cone
     frame = [view.light.to_world(axis) for axis in (seen.x, seen.y, seen.z)]
     local = mi.Vector3f(*(dr.dot(mi.Vector3f(normal), axis) for axis in frame))
-    return _or_zero(clipped(seen.ta, seen.tb, local))
+    # Scalar variants fail at a division by zero, and a solid has no cone from inside.
+    ta, tb = (dr.select(view.outside, tangent, 1) for tangent in (seen.ta, seen.tb))
+    local = dr.select(view.outside, local, mi.Vector3f(0, 0, 1))
+    return _or_zero(view, clipped(ta, tb, local))
 
 
-def _view(to_world, point) -> ellipse.View:
-    return ellipse.from_transform(to_world).seen_from(mi.Point3f(point))
+def tessellate(to_world, segments: int = 64, props: mi.Properties | None = None) -> mi.Mesh:
+    """Triangle mesh of a light, for previews and for comparing with mesh lights.
+
+    Parameters
+    ----------
+    to_world
+        Transform of the light, or its matrix; or an `Ellipsoid`.
+    segments
+        Number of triangles of an ellipse, at least 3; number of edges around an ellipsoid, at least
+        5. The errors of both are those of `geometry.mesh`.
+    props
+        Properties of the mesh, such as a BSDF or an emitter.
+    """
+    if isinstance(to_world, Ellipsoid):
+        return tessellate_ellipsoid(to_world.to_world, segments, props)
+    return tessellate_ellipse(to_world, segments, props)
+
+
+def _view(to_world, point) -> View:
+    solid = isinstance(to_world, Ellipsoid)
+    light = (ellipsoid if solid else ellipse).from_transform(
+        to_world.to_world if solid else to_world
+    )
+    return light.seen_from(mi.Point3f(point))

@@ -11,6 +11,7 @@ import itertools
 from functools import cache
 from pathlib import Path
 
+import mpmath
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import quad
@@ -225,3 +226,29 @@ def irradiance_by_chords(ta: float, tb: float, n: ArrayLike) -> float:
         for piece in itertools.pairwise(ends)
     )
     return ta * tb * scale * total
+
+
+# ---- Ellipsoids ----
+
+
+def solid_cone(axes, c) -> tuple[np.ndarray, float, float]:
+    """`cone` of the ellipsoid ``{c + axes q : |q| ≤ 1}``, its semi-axis vectors as columns.
+
+    Eigen-decomposition of ``axes axesᵀ - c cᵀ`` in 60-digit arithmetic.
+    """
+    with mpmath.workdps(60):
+        a, c = mpmath.matrix(np.asarray(axes).tolist()), mpmath.matrix(np.asarray(c).tolist())
+        values, vectors = mpmath.eigsy(a * a.T - c * c.T)  # ascending: -μ3, μ2, μ1
+        ta, tb = (float(mpmath.sqrt(values[k] / -values[0])) for k in (2, 1))
+        x, y, z = (np.array([float(vectors[i, k]) for i in range(3)]) for k in (2, 1, 0))
+        z = z * np.sign(float(sum(vectors[i, 0] * c[i] for i in range(3)))) if any(c) else z
+    if np.dot(np.cross(x, y), z) < 0:
+        y = -y
+    return np.array([x, y, z]), ta, tb
+
+
+def solid_irradiance(axes, c, n, turns: int = 1024, heights: int = 256) -> float:
+    """``∫ max(0, n·ω) dω`` over an ellipsoid by quadrature over its cone."""
+    frame, ta, tb = solid_cone(axes, c)
+    d, weight = cone_grid(ta, tb, turns, heights)
+    return float(np.sum(weight * np.maximum(d @ frame @ np.asarray(n, float), 0)))

@@ -5,7 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from commands import LAMP, write_scene
-from mi_ellipse.geometry import ellipse
+from mi_ellipse.geometry import ellipse, ellipsoid
 
 pytest_plugins = ["comparisons"]
 
@@ -108,3 +108,10 @@ def ellipses(u, w, centre):
         matrix[:, :3, k] = column
     matrix[:, 3, 3] = 1
     return ellipse.from_transform(mi.Matrix4d(np.moveaxis(matrix, 0, -1)))
+
+
+def ellipsoids(linear, centre):
+    """A batch of ellipsoids from arrays of shape (n, 3, 3), semi-axes as columns, and (n, 3)."""
+    matrix = np.zeros((len(linear), 4, 4))
+    matrix[:, :3, :3], matrix[:, :3, 3], matrix[:, 3, 3] = linear, centre, 1
+    return ellipsoid.from_transform(mi.Matrix4d(np.moveaxis(matrix, 0, -1)))

@@ -20,15 +20,19 @@ ON_AXIS = 1e-16
 # out of range.
 FAR = 1e9
 
+# Least root λ of an ellipsoid, in units of its squared longest semi-axis: that of a point on its
+# surface. Its square is representable.
+LOWEST_ROOT = 1e-24
+
 # Steps of Bulirsch's complete elliptic integral (see `solid_angle`).
 CEL_STEPS = 6
 
 
 class Cone(NamedTuple):
-    """The cone of directions that meet an elliptical light.
+    """The cone of directions that meet an elliptical light, or an ellipsoid.
 
     The directions are those with ``(X/ta)² + (Y/tb)² ≤ 1`` for ``X = d·x / d·z``,
-    ``Y = d·y / d·z``, ``d·z > 0``. The axes are given along the light's ``(ex, ey, normal)``.
+    ``Y = d·y / d·z``, ``d·z > 0``. The axes are given along those of the light.
     """
 
     x: mi.Vector3f  # Major axis of the tangent ellipse
@@ -65,6 +69,36 @@ def _positive_root(b: mi.Float, p: mi.Float, k: mi.Float) -> mi.Float:
     return dr.select(rising, q, p) / dr.maximum(dr.select(rising, k, q), TINY)
 
 
+def _refine(root: mi.Float, a: mi.Float, b: mi.Float, c: mi.Float) -> mi.Float:
+    """Largest root of the cubic ``λ³ - a λ² - b λ - c``, from a starting value in two steps.
+
+    Cauchy's method solves the Taylor polynomial of second order; it never leaves the side of the
+    root where the cubic rises. The last step is the inverse of the cubic to fourth order
+    (Schröder).
+    """
+
+    def taylor(root):
+        """Value, slope and half the second derivative of the cubic."""
+        first = root - a
+        second = dr.fma(first, root, -b)
+        value = dr.fma(second, root, -c)
+        first += root
+        return value, dr.fma(first, root, second), first + root
+
+    zero, one = mi.Float(0), mi.Float(1)
+    value, slope, curvature = taylor(root)
+    disc = dr.fma(slope, slope, -4 * curvature * value)
+    disc = dr.select(disc > zero, disc, zero)
+    root = root - (value + value) / dr.maximum(slope + dr.sqrt(disc), TINY)
+
+    value, slope, curvature = taylor(root)
+    inv = dr.rcp(slope)
+    change = value * inv
+    q = change * (curvature * inv)
+    root -= change * dr.fma(q, dr.fma(2, q, one), dr.fma(-change * change, inv, one))
+    return dr.select(a > FAR, a, root)
+
+
 def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
     """Positive root λ of ``x²/(1 + λ) + y²/(e² + λ) + z²/λ = 1``.
 
@@ -75,9 +109,7 @@ def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
 
     The start is the larger of two: the root without the cubic's last or first term, and that of
     ``r²/(m/r² + λ) + z²/λ = 1`` for ``r² = x² + y²`` and ``m = x² + e² y²``, a lower bound by
-    Jensen's inequality that is exact for circles and far lights. Cauchy's method solves the Taylor
-    polynomial of second order; it never leaves the side of the root where the cubic rises. The
-    last step is the inverse of the cubic to fourth order (Schröder).
+    Jensen's inequality that is exact for circles and far lights.
 
     Largest relative error over 1 000 000 lights, most of them needles seen from close to their
     plane and rim: 1 at the start and .015 after one step, in exact arithmetic, and 2.6e-7 after
@@ -97,37 +129,17 @@ def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
 
     zero, one = mi.Float(0), mi.Float(1)
 
-    def taylor(root):
-        """Value, slope and half the second derivative of the cubic."""
-        first = root - a
-        second = dr.fma(first, root, -b)
-        value = dr.fma(second, root, -c)
-        first += root
-        return value, dr.fma(first, root, second), first + root
-
     # λ² - a λ - b = 0 or -a λ² - b λ - c = 0
     large = b > zero
     root = _positive_root(dr.select(large, a, b), dr.select(large, b, c), dr.select(large, one, -a))
     other = _positive_root(middle, m * z2, r2)
-    root = dr.select(other > root, other, root)
-
-    value, slope, curvature = taylor(root)
-    disc = dr.fma(slope, slope, -4 * curvature * value)
-    disc = dr.select(disc > zero, disc, zero)
-    root -= (value + value) / dr.maximum(slope + dr.sqrt(disc), TINY)
-
-    value, slope, curvature = taylor(root)
-    inv = dr.rcp(slope)
-    change = value * inv
-    q = change * (curvature * inv)
-    root -= change * dr.fma(q, dr.fma(2, q, one), dr.fma(-change * change, inv, one))
-    root = dr.select(a > FAR, a, root)
+    root = _refine(dr.select(other > root, other, root), a, b, c)
     return dr.select(root > z2, root, z2)
 
 
 def of_ellipse(
     position: mi.Vector3d,
-    ratio: mi.Float64,
+    root: mi.Float,
     ratio32: mi.Float,
     inv_ratio: mi.Float,
     eccentricity2: mi.Float,
@@ -143,12 +155,11 @@ def of_ellipse(
     position
         Vector from the reference point to the centre along the light's ``(ex, ey, normal)``, in
         units of the longer semi-axis.
-    ratio, ratio32, inv_ratio, eccentricity2
-        Shorter over longer semi-axis, in double and single precision; its reciprocal; one minus
-        its square.
+    root
+        `confocal_root` of the position.
+    ratio32, inv_ratio, eccentricity2
+        Shorter over longer semi-axis; its reciprocal; one minus its square.
     """
-    root = confocal_root(position, ratio)
-
     centre = mi.Vector3f(position)
     xc, yc, zc = centre
     zero, one, half = mi.Float(0), mi.Float(1), mi.Float(0.5)
@@ -180,11 +191,130 @@ def of_ellipse(
         yc * height * along,
         -(dr.square(inv_ratio) * mu1 * m2) * along,
     )
-    # Only rounding is left of it there, or what is along z.
+    y = _minor_axis(y, z, mi.Vector3f(zero, one, zero))
+    return Cone(cross(y, z), y, z, ta2, tb2, root * inv_mu1)
+
+
+def _minor_axis(y: mi.Vector3f, z: mi.Vector3f, otherwise: mi.Vector3f) -> mi.Vector3f:
+    """Make an axis orthogonal to z, or take another one where only rounding is left of it."""
     size2, overlap = dr.squared_norm(y), dr.dot(y, z)
     left2 = dr.fma(-overlap, overlap, size2)
     y = (y - z * overlap) * dr.rsqrt(left2)
-    y = dr.select(left2 > 0.25 * size2, y, mi.Vector3f(zero, one, zero))
+    return dr.select(left2 > 0.25 * size2, y, otherwise)
+
+
+class Confocal(NamedTuple):
+    """Coefficients in double precision of the cubic whose largest root is λ.
+
+    ``x²/(1 + λ) + y²/(e² + λ) + z²/(h² + λ) = 1`` for an ellipsoid with the semi-axes 1, e, h and
+    its centre at (x, y, z). Each is a sum of both signs, in which lies all that cancels near the
+    surface.
+    """
+
+    x2: mi.Float64
+    y2: mi.Float64
+    z2: mi.Float64
+    e2: mi.Float64
+    h2: mi.Float64
+    x2_less_1: mi.Float64
+    z2_less_h2: mi.Float64
+    c: (
+        mi.Float64
+    )  # Minus the constant term: e² h² (|o|² - 1), o the point on the unit sphere's scale
+
+
+def confocal(centre: mi.Vector3d, ratio: mi.Float64, flatness: mi.Float64) -> Confocal:
+    """What the root needs that cancels, for the semi-axes 1, e = ratio, h = flatness."""
+    x, y, z = centre
+    x2, y2, z2, e2, h2 = dr.fma(x, x, ON_AXIS), y * y, z * z, ratio * ratio, flatness * flatness
+    x2_less_1 = x2 - 1
+    c = dr.fma(dr.fma(x2_less_1, e2, y2), h2, z2 * e2)
+    return Confocal(x2, y2, z2, e2, h2, x2_less_1, z2 - h2, c)
+
+
+def _merged(
+    weight: mi.Float64, moment: mi.Float64, other: mi.Float64, excess: mi.Float64, pole: mi.Float64
+) -> mi.Float:
+    """Positive root of ``w/(m/w + λ) + v/(p + λ) = 1``: two poles merged into their mean.
+
+    Parameters
+    ----------
+    weight, moment
+        w and m of the merged poles.
+    other, excess, pole
+        v, ``v - p`` and p of the third pole.
+    """
+    mean = moment / dr.maximum(weight, ON_AXIS)
+    b = mi.Float(weight + excess - mean)
+    p = mi.Float(dr.maximum(dr.fma(weight, pole, mean * excess), 0))
+    return _positive_root(b, p, mi.Float(1))
+
+
+def confocal_root_of_solid(terms: Confocal) -> mi.Float:
+    """Largest root λ of ``x²/(1 + λ) + y²/(e² + λ) + z²/(h² + λ) = 1``, positive outside.
+
+    The start is the larger of two lower bounds by Jensen's inequality: the poles of x and y, or of
+    y and z, merged into their mean.
+    """
+    x2, y2, z2, e2, h2, x2_less_1, z2_less_h2, c = terms
+    r2, s2, moment = x2 + y2, y2 + z2, y2 * e2
+    a = mi.Float(x2_less_1 + (y2 - e2) + z2_less_h2)
+    b = mi.Float(dr.fma(x2_less_1 + z2, e2, dr.fma(x2_less_1 + y2 - e2, h2, s2)))
+
+    root = _merged(r2, x2 + moment, z2, z2_less_h2, h2)
+    other = _merged(s2, dr.fma(z2, h2, moment), x2, x2_less_1, mi.Float64(1))
+    root = dr.select(other > root, other, root)
+    root = _refine(root, a, b, mi.Float(dr.maximum(c, 0)))
+    return dr.maximum(root, mi.Float(dr.maximum(z2_less_h2, LOWEST_ROOT)))
+
+
+def of_ellipsoid(centre: mi.Vector3f, root: mi.Float, ratio: mi.Float, flatness: mi.Float) -> Cone:
+    """Cone of the directions that meet an ellipsoid; with a flatness of 0 that of `of_ellipse`.
+
+    Parameters
+    ----------
+    centre
+        Vector from the reference point to the centre along the semi-axes, in units of the longest.
+    root
+        Its `confocal_root_of_solid`.
+    ratio, flatness
+        Middle and shortest over longest semi-axis.
+    """
+    xc, yc, zc = centre
+    zero, one, half = mi.Float(0), mi.Float(1), mi.Float(0.5)
+    e2, h2 = dr.square(ratio), dr.square(flatness)
+    # Differences of the squared semi-axes
+    xy, yz = (one - ratio) * (one + ratio), (ratio - flatness) * (ratio + flatness)
+    low = h2 + root
+    inv_root, inv_x, inv_y = dr.rcp(root), dr.rcp(one + root), dr.rcp(e2 + root)
+    height = zc * dr.rcp(low)
+    wx, wy, wz = xc * xc * inv_x, yc * yc * inv_y, zc * height
+
+    z = dr.normalize(mi.Vector3f(xc * (low * inv_x), yc * (low * inv_y), zc))
+
+    # The two positive eigenvalues as μ1 - e² and (e² - μ2) / (e² - h²)
+    sigma = dr.fma(xy, wy + wz, -yz * (wx + wy))
+    product = 2 * wy * xy
+    disc = dr.sqrt(dr.fma(sigma, sigma, 2 * product * yz))
+    m1 = half * (sigma + disc)
+    larger = dr.maximum(dr.abs(sigma) + disc, SMALLEST)
+    m2 = dr.select(
+        sigma > zero, product * dr.rcp(larger), half * larger * dr.rcp(dr.maximum(yz, SMALLEST))
+    )
+
+    # μ1 μ2 μ3, a sum of one sign, gives the smaller eigenvalue its full precision
+    mu1 = e2 + m1
+    inv_mu1 = dr.rcp(mu1)
+    ta2 = mu1 * inv_root
+    tb2 = dr.minimum(dr.fma(wz, e2, h2 * dr.fma(wx, e2, wy)) * (inv_mu1 * inv_root), ta2)
+
+    # Minor axis; in a plane of symmetry, and for spheres, any direction across will do.
+    along, steep = dr.fma(yz, m2, xy), (xy + yz) * height
+    y = mi.Vector3f(xc * steep * (yz * m2), yc * steep * along, -(m1 + yz) * m2 * along)
+    beside = dr.abs(z.y) < 0.9
+    across = mi.Vector3f(zero, dr.select(beside, one, zero), dr.select(beside, zero, one))
+    across = dr.normalize(across - z * dr.dot(across, z))
+    y = _minor_axis(y, z, across)
     return Cone(cross(y, z), y, z, ta2, tb2, root * inv_mu1)
 
 

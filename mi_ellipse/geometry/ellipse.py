@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
 
 from . import cone
 from .cone import Cone
+from .light import Hit, Outlook, View, field_values
 from .tracing import cross
 
 # A reference point closer to the plane of the light counts as being at this height, in units of the
@@ -23,49 +24,51 @@ PLANE_FLOOR = 1e-12
 FARTHEST = 1e25
 
 
-class Hit(NamedTuple):
-    """The point of a light that a direction meets."""
+class EllipseView(View):
+    """An ellipse as it is seen from a point, along ``(ex, ey, normal)``."""
 
-    p: mi.Point3f  # World-space point
-    n: mi.Normal3f  # World-space normal there
-    uv: mi.Point2f  # Parameterisation of Mitsuba's `disk` there
-    distance: mi.Float  # From the reference point, in world units
-
-
-class View:
-    """A light as it is seen from a point, in the light's frame ``(ex, ey, normal)``.
-
-    Parameters
-    ----------
-    light
-        The light.
-    position
-        Vector from the point to the centre, as `Ellipse.light_coordinates` returns it.
-    """
-
-    def __init__(self, light: Ellipse, position: mi.Vector3d):
-        self.light = light
-        self.position = position
-
-    @cached_property
-    def centre(self) -> mi.Vector3f:
-        """The position in single precision."""
-        return mi.Vector3f(self.position)
+    def _solve(self) -> mi.Float:
+        return cone.confocal_root(self.position, self.light.ratio)
 
     @cached_property
     def cone(self) -> Cone:
         """The cone of directions that meet the light."""
         light = self.light
         return cone.of_ellipse(
-            self.position, light.ratio, light.ratio32, light.inv_ratio, light.eccentricity2
+            self.position, self.root, light.ratio32, light.inv_ratio, light.eccentricity2
         )
+
+    def outlook(self, normal: mi.Normal3f) -> Outlook:
+        """What the irradiance depends on, at a surface with a world-space normal.
+
+        From the root alone, without the frame of the cone: product and sum of the eigenvalues of
+        the dual cone matrix give the sines, and its value for the normal gives the reach. In single
+        precision the reach of small lights is lost in rounding, where it hardly matters.
+        """
+        light, root = self.light, self.root
+        x, y, z = self.centre
+        one = mi.Float(1)
+        e2 = dr.square(light.ratio32)
+        inv_root, inv_y = dr.rcp(root), dr.rcp(e2 + root)
+
+        determinant2 = z * z * e2
+        positive = dr.fma(z * z, inv_root, dr.fma(y * y * light.eccentricity2, inv_y, e2))
+        sines2 = determinant2 / dr.fma(root * root, root + positive, determinant2)
+
+        ex, ey, up = light.axes32
+        n = mi.Vector3f(dr.dot(normal, ex), dr.dot(normal, ey), dr.dot(normal, up))
+        axis = mi.Vector3f(x * root * dr.rcp(one + root), y * root * inv_y, z)
+        nz = dr.dot(n, axis) * dr.rsqrt(dr.squared_norm(axis))
+        along = dr.dot(n, self.centre)
+        dual = dr.fma(n.x, n.x, dr.fma(e2 * n.y, n.y, -along * along))
+        return Outlook(sines2, nz, dr.fma(dual, inv_root, nz * nz))
 
     @property
     def lit(self) -> mi.Mask:
         """True on the emitting side of the light.
 
-        The sign is that of the double-precision height. Draw and density both ask here, so they
-        agree for points in the plane of the light.
+        The sign is that of the double-precision height, so draw and density also agree for points
+        in the plane of the light.
         """
         return self.centre.z < mi.Float(0)
 
@@ -99,7 +102,7 @@ class StoredEllipse(PrincipalAxes):
 
     def light(self) -> Ellipse:
         """Return the light for one trace."""
-        return Ellipse(**(_fields(self) | {"centre": mi.Point3d(self.centre)}))
+        return Ellipse(**(field_values(self) | {"centre": mi.Point3d(self.centre)}))
 
 
 @dataclass
@@ -115,15 +118,17 @@ class Ellipse(PrincipalAxes):
     of its own from `StoredEllipse.light`.
     """
 
+    planar: ClassVar[bool] = True
+
     centre: mi.Point3d
 
     def stored(self) -> StoredEllipse:
         """Return what a lamp keeps."""
-        return StoredEllipse(**(_fields(self) | {"centre": mi.Point3f(self.centre)}))
+        return StoredEllipse(**(field_values(self) | {"centre": mi.Point3f(self.centre)}))
 
-    def seen_from(self, point: mi.Point3f) -> View:
-        """Return the view of the light from a world-space point."""
-        return View(self, self.light_coordinates(point))
+    def seen_from(self, point: mi.Point3f, root: mi.Float | None = None) -> EllipseView:
+        """Return the view of the light from a world-space point; `root` if it is known already."""
+        return EllipseView(self, self.light_coordinates(point), root)
 
     @cached_property
     def normal(self) -> mi.Vector3d:
@@ -183,16 +188,16 @@ class Ellipse(PrincipalAxes):
         ex, ey, normal = self.axes32
         return dr.fma(ex, v.x, dr.fma(ey, v.y, normal * v.z))
 
-    def surface_offset(self, u: mi.Point2f) -> mi.Vector3f:
+    def surface_offset(self, view: EllipseView, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Mask]:
         """Vector from the centre to a point uniform on the surface, from two random numbers.
 
         Through the concentric map (Shirley and Chiu, *A Low Distortion Map Between Disk and
-        Square*, 1997). Along ``(ex, ey, normal)`` in units of lx.
+        Square*, 1997). Along ``(ex, ey, normal)`` in units of lx. Every point faces every view.
         """
         point = mi.warp.square_to_uniform_disk_concentric(u)
-        return mi.Vector3f(point.x, self.ratio32 * point.y, 0)
+        return mi.Vector3f(point.x, self.ratio32 * point.y, 0), mi.Mask(True)
 
-    def surface_density(self, view: View, direction: mi.Vector3f) -> mi.Float:
+    def surface_density(self, view: EllipseView, direction: mi.Vector3f) -> mi.Float:
         """Density per solid angle of a direction to a point that is uniform on the surface.
 
         ``r² / (A cos θ)`` with the distance r, the area A and the angle θ at the light.
@@ -201,7 +206,16 @@ class Ellipse(PrincipalAxes):
         distance = view.centre.z / cosine
         return dr.square(distance) / (dr.pi * self.ratio32 * dr.abs(cosine))
 
-    def hit(self, view: View, direction: mi.Vector3f) -> Hit:
+    def sample_surface(self, u: mi.Point2f) -> tuple[mi.Point3f, mi.Normal3f, mi.Point2f]:
+        """World-space point uniform on the surface, the normal and uv there."""
+        a, b = self.from_disk(mi.warp.square_to_uniform_disk_concentric(u))
+        return self.point(a, b), mi.Normal3f(self.normal), self.uv(a, b)
+
+    def surface_pdf(self, p: mi.Point3f) -> mi.Float:
+        """Density per area of `sample_surface`."""
+        return dr.rcp(self.area)
+
+    def hit(self, view: EllipseView, direction: mi.Vector3f) -> Hit:
         """Return the point where a drawn direction meets the light.
 
         Parameters
@@ -275,10 +289,6 @@ class Ellipse(PrincipalAxes):
         a = c * point.x + s * point.y
         b = c * point.y - s * point.x
         return a, b * mi.Float(self.handedness)
-
-
-def _fields(axes: PrincipalAxes) -> dict:
-    return {field.name: getattr(axes, field.name) for field in fields(axes)}
 
 
 def from_transform(to_world) -> Ellipse:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
+import mitsuba as mi
 
 # Smallest normal single-precision number: a floor for denominators whose numerators vanish too.
 TINY = 1.1754944e-38
@@ -38,3 +42,45 @@ def branch(argument, condition, on_true: Callable, on_false: Callable) -> Any:
         must not keep a variable from one trace to the next.
     """
     return dr.if_stmt((argument,), condition & (argument.x < 2), on_true, on_false)
+
+
+def take(dtype: type, source: Any, index: Any) -> Any:
+    """Element of arrays at an index: a gather, or an item of a list in scalar variants."""
+    return dr.gather(dtype, source, index) if dr.is_jit_v(mi.Float) else source[index]
+
+
+def instance_number() -> mi.UInt32 | None:
+    """Number in Dr.Jit's registry of the instance whose method is being traced.
+
+    Dr.Jit traces a method of an emitter for each living emitter. It keeps a variable that is the
+    same in all these traces and stands for the instance that is called. ``mi.EmitterPtr(self)``
+    gives a constant instead, so the code of each instance differs from that of all others.
+
+    Dr.Jit's C++ code reads the variable through ``jit_var_self(JitBackend, uint32_t*, uint32_t*)``.
+    Python has no function for it, so this calls the one of its core library, under the name that
+    C++ compilers on Linux and macOS give to it.
+
+    Returns
+    -------
+    mi.UInt32 or None
+        None outside such a trace, and where the core library has no such function.
+    """
+    function = _jit_var_self()
+    if function is None or not dr.is_jit_v(mi.Float):
+        return None
+    value, index = ctypes.c_uint32(), ctypes.c_uint32()
+    function(int(dr.backend_v(mi.Float).value), ctypes.byref(value), ctypes.byref(index))
+    return dr.detail.update_indices(mi.UInt32(0), [index.value]) if index.value else None
+
+
+@cache
+def _jit_var_self() -> Callable | None:
+    for name in ("libdrjit-core.so", "libdrjit-core.dylib"):
+        library = Path(dr.__file__).with_name(name)
+        if library.is_file():
+            function = getattr(ctypes.CDLL(str(library)), "_Z12jit_var_self10JitBackendPjS0_", None)
+            if function is not None:
+                pointer = ctypes.POINTER(ctypes.c_uint32)
+                function.argtypes, function.restype = [ctypes.c_int, pointer, pointer], None
+            return function
+    return None

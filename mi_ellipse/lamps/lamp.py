@@ -9,10 +9,10 @@ from typing import NamedTuple
 import drjit as dr
 import mitsuba as mi
 
-from ..geometry import ellipse
-from ..geometry.ellipse import StoredEllipse
+from ..geometry.light import Light, StoredLight
 from ..geometry.tracing import branch
-from ..sampling import find
+from ..sampling import STRATEGIES, find
+from ..sampling.strategy import Strategy
 from .textured import Textured, follows_texture
 
 # A distance below this part of the coordinates is nothing but their rounding. Single precision
@@ -56,21 +56,37 @@ class Lamp:
 
     radiance: mi.Texture
     sampling: str
-    stored: StoredEllipse | None = None
+    stored: StoredLight | None = None
 
     def __post_init__(self) -> None:
+        self.planar = True  # Until the lamp is placed
         self.follow_radiance()
 
-    def place(self, to_world: mi.AffineTransform4f) -> None:
-        """Take the light from the transform of the unit disk. The lamp keeps values of its own."""
-        stored = ellipse.from_transform(dr.detach(to_world)).stored()
+    def place(self, light: Light) -> None:
+        """Take the light. The lamp keeps values of its own.
+
+        Raises
+        ------
+        ValueError
+            If the strategy cannot sample a light of this kind.
+        """
+        if not light.planar and find(self.sampling).planar:
+            able = ", ".join(name for name, entry in STRATEGIES.items() if not entry.planar)
+            raise ValueError(
+                f'sampling="{self.sampling}" is for planar lamps, and this one is a solid; choose '
+                f"one of {able}"
+            )
+        stored = light.stored()
         dr.make_opaque(stored)
         self.stored = stored
+        if self.planar != light.planar:
+            self.planar = light.planar
+            self.follow_radiance()
 
     def follow_radiance(self) -> None:
         """Choose how to draw for the present radiance."""
         self.strategy = find(self.sampling).make()
-        self.follows_texture = follows_texture(self.radiance)
+        self.follows_texture = self.planar and follows_texture(self.radiance)
         if self.follows_texture:
             self.strategy = Textured(self.strategy, self.radiance)
 
@@ -92,40 +108,19 @@ class Lamp:
             return self.stored.light().seen_from(point).lit
 
     def _draw(self, it, u):
-        """Fields of `Draw`, for one trace of the branch.
-
-        An invalid draw gets the density zero, and integrators skip it. A NaN would survive a
-        multiplication by zero.
-        """
+        """`Draw` of one trace of the branch."""
         with dr.suspend_grad(), self._without_lookup():
-            light = self.stored.light()
-            view = light.seen_from(it.p)
-            record = self.strategy.prepare(view, it.n)
-            d, pdf, valid = self.strategy.sample(record, u)
-            zero = mi.Float(0)
-            valid &= view.lit & (pdf > zero) & (pdf < dr.inf)
-            hit = light.hit(view, d)
-            # If the reference is a point of the lamp itself, the point drawn may be the same one.
-            # The direction between the two, which `prb` and others compute, is then 0/0.
-            valid &= hit.distance > RESOLUTION * dr.max(dr.abs(it.p))
-            pdf = dr.select(valid, pdf, zero)
-            inv_pdf = dr.select(valid, dr.rcp(pdf), zero)
-
+            drawn = p, n, uv, _, _, pdf = draw_from(self.strategy, self.stored, None, it, u)
+            inv_pdf = dr.select(pdf > 0, dr.rcp(pdf), 0)
             si = dr.zeros(mi.SurfaceInteraction3f)
-            si.p, si.n, si.uv = hit.p, hit.n, hit.uv
+            si.p, si.n, si.uv = p, n, uv
             si.wavelengths = it.wavelengths
-            d = light.to_world(d)
-        weight = self.radiance.eval(si, valid) * inv_pdf
-        return hit.p, hit.n, hit.uv, d, hit.distance, pdf, weight
+        return *drawn, self.radiance.eval(si, pdf > 0) * inv_pdf
 
     def _density(self, it, d):
         """Density of one trace of the branch."""
         with dr.suspend_grad(), self._without_lookup():
-            light = self.stored.light()
-            view = light.seen_from(it.p)
-            record = self.strategy.prepare(view, it.n)
-            pdf = self.strategy.pdf(record, light.to_light(d))
-            return dr.select(view.lit & dr.isfinite(pdf), pdf, 0)
+            return density_of(self.strategy, self.stored, None, it, d)
 
     def _without_lookup(self):
         """Stop Dr.Jit from searching for each new operation among all living ones.
@@ -141,22 +136,83 @@ class Lamp:
     def sample_position(
         self, u: mi.Point2f, active: mi.Mask
     ) -> tuple[mi.Point3f, mi.Normal3f, mi.Point2f]:
-        """Point of the lamp, normal and uv: drawn by the texture, or uniform on the surface."""
-        light = self.stored.light()
-        if self.follows_texture:
-            uv = self.strategy.sample_position(u, active)
-            a, b = light.from_uv(uv)
-        else:
-            a, b = light.from_disk(mi.warp.square_to_uniform_disk_concentric(u))
-            uv = light.uv(a, b)
-        return light.point(a, b), mi.Normal3f(light.normal), uv
-
-    def pdf_position(self, uv: mi.Point2f) -> mi.Float:
-        """Density per area of `sample_position`."""
+        """Point of the lamp, normal and uv, by the texture or as the light draws its surface."""
         light = self.stored.light()
         if not self.follows_texture:
-            return dr.rcp(light.area)
-        return self.strategy.texture_density(uv) / light.area
+            return light.sample_surface(u)
+        uv = self.strategy.sample_position(u, active)
+        a, b = light.from_uv(uv)
+        return light.point(a, b), mi.Normal3f(light.normal), uv
+
+    def pdf_position(self, p: mi.Point3f, uv: mi.Point2f) -> mi.Float:
+        """Density per area of `sample_position`."""
+        density = self.stored.light().surface_pdf(p)
+        if self.follows_texture:
+            density *= self.strategy.texture_density(uv)
+        return density
+
+
+def draw_from(
+    strategy: Strategy,
+    stored: StoredLight,
+    root: mi.Float | None,
+    it: mi.Interaction3f,
+    u: mi.Point2f,
+) -> tuple[mi.Point3f, mi.Normal3f, mi.Point2f, mi.Vector3f, mi.Float, mi.Float]:
+    """Draw a point of a light from a reference point.
+
+    Parameters
+    ----------
+    strategy
+        How to draw.
+    stored
+        The light.
+    root
+        `View.root`, if it is known already.
+    it
+        Reference point and normal of the surface there.
+    u
+        Two random numbers.
+
+    Returns
+    -------
+    p, n, uv
+        Point of the light, normal and parameterisation there.
+    direction
+        In world space.
+    distance
+        From the reference point.
+    pdf
+        Density per solid angle. An invalid draw gets the density zero, and integrators skip it. A
+        NaN would survive a multiplication by zero.
+    """
+    light = stored.light()
+    view = light.seen_from(it.p, root)
+    record = strategy.prepare(view, it.n)
+    d, pdf, valid = strategy.sample(record, u)
+    zero = mi.Float(0)
+    valid &= view.lit & (pdf > zero) & (pdf < dr.inf)
+    hit = light.hit(view, d)
+    # If the reference is a point of the lamp itself, the point drawn may be the same one. The
+    # direction between the two, which `prb` and others compute, is then 0/0.
+    valid &= hit.distance > RESOLUTION * dr.max(dr.abs(it.p))
+    pdf = dr.select(valid, pdf, zero)
+    return hit.p, hit.n, hit.uv, light.to_world(d), hit.distance, pdf
+
+
+def density_of(
+    strategy: Strategy,
+    stored: StoredLight,
+    root: mi.Float | None,
+    it: mi.Interaction3f,
+    direction: mi.Vector3f,
+) -> mi.Float:
+    """Density with which `draw_from` draws a world-space direction that meets the light."""
+    light = stored.light()
+    view = light.seen_from(it.p, root)
+    record = strategy.prepare(view, it.n)
+    pdf = strategy.pdf(record, light.to_light(direction))
+    return dr.select(view.lit & dr.isfinite(pdf), pdf, 0)
 
 
 def _draw_nothing(u):

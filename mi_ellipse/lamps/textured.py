@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry.ellipse import View
+from ..geometry.ellipse import EllipseView
 from ..geometry.tracing import TINY
 
 # Least share of either kind of draws. It bounds the cost of mixing: the second moment of the other
@@ -20,7 +20,7 @@ class Record(NamedTuple):
     """What is computed once per reference point."""
 
     strategy: Any  # Record of the wrapped strategy
-    view: View
+    view: EllipseView
     share: mi.Float  # Share of the draws that follow the texture
 
 
@@ -57,7 +57,7 @@ class Textured:
         self.contrast, self.spread = mi.Float(contrast), mi.Float(spread)
         dr.make_opaque(self.contrast, self.spread)
 
-    def prepare(self, view: View, normal: mi.Normal3f) -> Record:
+    def prepare(self, view: EllipseView, normal: mi.Normal3f) -> Record:
         """Compute the record of the strategy and the share of the texture."""
         seen = view.cone
         # Relative variance of the texture alone, near the light. Area sampling on the axis of a

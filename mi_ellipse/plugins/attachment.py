@@ -4,23 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
+from ..geometry import ellipse, ellipsoid, mesh
+from ..geometry.light import Light
 from ..lamps.lamp import Lamp
-from .names import DISK, ELLIPSE, ELLIPTICAL_AREA
+from .names import DISK, ELLIPSE, ELLIPSOID, ELLIPTICAL_AREA, SPHERE
 
-# What `class_name` says of the shapes that a lamp can have.
-SHAPES = ("Disk",)
+# Part of a solid's size by which the vertices of its mesh may miss it, in its own unit sphere. The
+# shape `ellipsoid` makes no mesh that misses it by more.
+MESH_ERROR = 1e-3
 
 
 class Attachment:
     """The tie of a lamp to a shape.
 
-    The shape `ellipse` attaches its emitter when it is built. A plain `disk` cannot, so the emitter
-    asks for its shape when it is first used, and again when the shape changes. The lamp keeps
-    values and nothing that refers to the shape: a scene with such a reference is never freed.
+    The shapes `ellipse` and `ellipsoid` attach their emitter when they are built. A plain `disk` or
+    `sphere` cannot, so the emitter asks for its shape when it is first used, and again when the
+    shape changes. The lamp keeps values and nothing that refers to the shape: a scene with such a
+    reference is never freed.
     """
 
     def __init__(self, lamp: Lamp):
@@ -33,12 +39,16 @@ class Attachment:
         Raises
         ------
         ValueError
-            Without a shape, or if the shape is no ellipse.
+            Without a shape, if the shape is no light of this package, or if the strategy cannot
+            sample one like it.
         """
-        if shape is None or shape.class_name() not in SHAPES:
-            self._error = _misplaced("no shape" if shape is None else f"a {shape.class_name()}")
+        try:
+            self.lamp.place(_light(shape))
+            self._error = None
+        except ValueError as error:
+            self._error = f"{ELLIPTICAL_AREA}: {error}"
+        if self._error:
             raise ValueError(self._error)
-        self.lamp.place(_transform(shape))
 
     def ready(self, shape_of: Callable[[], mi.Shape | None]) -> bool:
         """Tell whether the lamp has its geometry, and attach it if it can be done now.
@@ -51,7 +61,8 @@ class Attachment:
         if self.lamp.stored is not None:
             return True
         if dr.is_jit_v(mi.Float) and (self._error or shape_of() is None):
-            mi.Log(mi.LogLevel.Warn, self._error or _misplaced("no shape"))
+            error = self._error or f"{ELLIPTICAL_AREA}: {_misplaced('no shape')}"
+            mi.Log(mi.LogLevel.Warn, error)
             return False
         self.attach(shape_of())
         return True
@@ -66,25 +77,109 @@ def attach(shape: mi.Shape) -> None:
 
 def _misplaced(what: str) -> str:
     return (
-        f"{ELLIPTICAL_AREA}: the emitter is attached to {what} and gives no light; put it into a "
-        f'shape of type "{ELLIPSE}" or "{DISK}"'
+        f"the emitter is attached to {what} and gives no light; put it into a shape of type "
+        f'"{ELLIPSE}", "{ELLIPSOID}", "{DISK}" or "{SPHERE}"'
     )
 
 
-def _transform(shape: mi.Shape) -> mi.AffineTransform4f:
-    """Transform of a shape, without a look at its BSDF, emitter and media."""
-    finder = _finder(mi.variant())()
+def _inwards(shape: str, what: str) -> str:
+    return f"the {shape} around the emitter shines inwards; leave out its {what}"
+
+
+def _light(shape: mi.Shape | None) -> Light:
+    """Geometry of a shape.
+
+    Raises
+    ------
+    ValueError
+        If the shape is no light of this package.
+    """
+    if shape is None:
+        raise ValueError(_misplaced("no shape"))
+    reader = READERS.get(shape.class_name())
+    if reader is None:
+        raise ValueError(_misplaced(f"a {shape.class_name()}"))
+    return reader(shape)
+
+
+def _of_disk(shape: mi.Shape) -> Light:
+    return ellipse.from_transform(dr.detach(_parameter(shape, "to_world")))
+
+
+def _of_sphere(shape: mi.Shape) -> Light:
+    """Ellipsoid with three equal semi-axes; Mitsuba has made the transform a similarity."""
+    light = ellipsoid.from_transform(dr.detach(_parameter(shape, "to_world")))
+    # The transform does not tell what `flip_normals` and mirrors do to the normals.
+    it = mi.Interaction3f()
+    it.p = mi.Point3f(light.centre) + 2 * light.lx
+    ds = shape.sample_direction(it, mi.Point2f(0.5))
+    if not np.all(dr.dot(ds.d, ds.n) < 0):
+        raise ValueError(_inwards("sphere", "flip_normals, or the mirror in its to_world"))
+    return light
+
+
+def _of_mesh(shape: mi.Mesh) -> Light:
+    """Ellipsoid of which the mesh is a tessellation of this package.
+
+    Mitsuba's meshes have no transform. The affine map from the vertices of the unit sphere to those
+    of the mesh is a least-squares fit, so that a lamp follows when its vertices are moved.
+    """
+    if shape.has_flipped_normals():
+        raise ValueError(_inwards("ellipsoid", "flip_normals"))
+    points = np.array(dr.detach(shape.vertex_positions_buffer()), dtype=float).reshape(-1, 3)
+    sphere = mesh.unit_sphere_of(len(points))
+    if sphere is None:
+        raise ValueError(_misplaced("a mesh that is no ellipsoid of this package"))
+    matrix, missed = _affine_map(sphere.points, points)
+    if not missed < MESH_ERROR:
+        raise ValueError(
+            "the vertex_positions of the mesh around the emitter are no affine image of those of "
+            f"a sphere: they miss the nearest ellipsoid by {missed:.1g} of its size, and may by "
+            f"{MESH_ERROR:g}"
+        )
+    return ellipsoid.from_transform(mi.ScalarAffineTransform4d(matrix))
+
+
+def _affine_map(known: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, float]:
+    """4×4 matrix of the affine map between rows, and what it misses by, mapped back."""
+    matrix = np.eye(4)
+    if not np.isfinite(points).all():
+        return matrix, np.inf
+    known = np.concatenate([known, np.ones((len(known), 1))], axis=1)
+    matrix[:3] = np.linalg.lstsq(known, points, rcond=None)[0].T
+    lengths = np.linalg.svd(matrix[:3, :3], compute_uv=False)
+    if not lengths[2] > 1e-12 * lengths[0]:
+        return matrix, np.inf
+    back = np.linalg.inv(matrix[:3, :3])
+    return matrix, np.abs((points - known @ matrix[:3].T) @ back.T).max()
+
+
+# How to read a shape, by what its `class_name` says
+READERS: dict[str, Callable[[Any], Light]] = {
+    "Disk": _of_disk,
+    "Sphere": _of_sphere,
+    "Mesh": _of_mesh,
+}
+
+
+def _parameter(shape: mi.Shape, name: str) -> Any:
+    """Parameter of a shape, without a look at its BSDF, emitter and media."""
+    finder = _finder(mi.variant())(name)
     shape.traverse(finder)
     return mi.get_property(*finder.found, shape)
 
 
 @cache
 def _finder(variant: str) -> type:
-    """Class of a callback that finds `to_world`; each variant has another base for it."""
+    """Class of a callback that finds a parameter; each variant has another base for it."""
 
     class Finder(mi.TraversalCallback):
+        def __init__(self, wanted):
+            super().__init__()
+            self.wanted = wanted
+
         def put(self, name, value, flags, cpptype=None):
-            if name == "to_world":
+            if name == self.wanted:
                 self.found = value, cpptype
 
     return Finder

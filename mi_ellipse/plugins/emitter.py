@@ -7,6 +7,7 @@ from importlib import import_module
 import drjit as dr
 import mitsuba as mi
 
+from ..lamps.group import Group
 from ..lamps.lamp import Lamp
 from ..sampling import DEFAULT, STRATEGIES
 from ..system import llvm
@@ -37,6 +38,7 @@ def define(variant: str) -> type:
             llvm.check()
             self.lamp = Lamp(*_parameters(props))
             self.attachment = Attachment(self.lamp)
+            self.group: Group | None = None  # See `grouping`
             self._follow_radiance()
 
         # ---- Parameters ------------------------------------------------------------------------
@@ -51,6 +53,8 @@ def define(variant: str) -> type:
                 self.attachment.attach(self.get_shape())
             self.lamp.follow_radiance()
             self._follow_radiance()
+            if self.group is not None:
+                self.group.refresh(self.lamp, float(self.sampling_weight()))
 
         def _follow_radiance(self) -> None:
             self.m_flags = mi.EmitterFlags.Surface
@@ -66,6 +70,8 @@ def define(variant: str) -> type:
             ds = mi.DirectionSample3f()
             if not self._attached():
                 return dr.zeros(mi.DirectionSample3f), dr.zeros(mi.Spectrum)
+            if self.group is not None:
+                return self.group.sample_direction(self.lamp, it, sample, active)
             drawn = self.lamp.draw(it, sample)
             ds.p, ds.n, ds.uv = drawn.p, drawn.n, drawn.uv
             ds.d, ds.dist, ds.time = drawn.d, drawn.distance, it.time
@@ -75,7 +81,11 @@ def define(variant: str) -> type:
             return ds, mi.depolarizer(dr.select(active, drawn.weight, 0))
 
         def pdf_direction(self, it, ds, active=True):
-            return self.lamp.density(it, ds.d, active) if self._attached() else mi.Float(0)
+            if not self._attached():
+                return mi.Float(0)
+            if self.group is not None:
+                return self.group.pdf_direction(self.lamp, it, ds.d, active)
+            return self.lamp.density(it, ds.d, active)
 
         def eval_direction(self, it, ds, active=True):
             if not self._attached():
@@ -85,7 +95,16 @@ def define(variant: str) -> type:
             )
 
         def eval(self, si, active=True):
-            return self._radiance(si, active & (mi.Frame3f.cos_theta(si.wi) > 0))
+            return self._radiance(si, active & self._faces(si))
+
+        def _faces(self, si):
+            """Tell whether a point of the lamp is seen from its emitting side.
+
+            The interpolated normals of an ellipsoid's mesh face away near its silhouette.
+            """
+            if self.lamp.planar:
+                return mi.Frame3f.cos_theta(si.wi) > 0
+            return dr.dot(si.n, si.to_world(si.wi)) > 0
 
         def _radiance(self, si, lit):
             return mi.depolarizer(dr.select(lit, self.lamp.radiance.eval(si, lit), 0))
@@ -100,12 +119,14 @@ def define(variant: str) -> type:
                 ps.p, ps.n, ps.uv = self.lamp.sample_position(sample, active)
                 ps.time = time
                 ps.delta = False
-                ps.pdf = self.lamp.pdf_position(ps.uv)
+                ps.pdf = self.lamp.pdf_position(ps.p, ps.uv)
                 valid = active & (ps.pdf > 0)
                 return ps, dr.select(valid, dr.rcp(dr.select(valid, ps.pdf, 1)), 0)
 
         def pdf_position(self, ps, active=True):
-            return dr.select(active, self.lamp.pdf_position(ps.uv), 0) if self._attached() else 0
+            return (
+                dr.select(active, self.lamp.pdf_position(ps.p, ps.uv), 0) if self._attached() else 0
+            )
 
         def sample_ray(self, time, sample1, sample2, sample3, active=True):
             ps, weight = self.sample_position(time, sample2, active)

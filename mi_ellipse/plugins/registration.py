@@ -7,7 +7,7 @@ from importlib import import_module
 import mitsuba as mi
 
 from . import emitter, shape
-from .names import ELLIPSE, ELLIPTICAL_AREA
+from .names import ELLIPSE, ELLIPSOID, ELLIPTICAL_AREA
 
 # Mitsuba asks under this variant for the type of a plugin, whichever variant is set. Without an
 # answer it merges equal shapes of a dictionary and cannot write XML.
@@ -28,6 +28,7 @@ def _on_variant_change(old: str | None, new: str | None) -> None:
     for variant in {new, TYPES_VARIANT} - _registered:
         if variant in mi.variants():
             module = import_module(f"mitsuba.{variant}")
-            module.register_shape(ELLIPSE, shape.create)
+            module.register_shape(ELLIPSE, shape.create_ellipse)
+            module.register_shape(ELLIPSOID, shape.create_ellipsoid)
             module.register_emitter(ELLIPTICAL_AREA, emitter.define(variant))
             _registered.add(variant)

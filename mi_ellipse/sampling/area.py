@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from ..geometry.ellipse import View
+from ..geometry.light import View
 from .strategy import register
 
 
@@ -17,9 +17,10 @@ from .strategy import register
     " bound near the lamp.",
 )
 class Area:
-    """Points uniform on the surface.
+    """Points uniform on the surface; on an ellipsoid, images of uniform points of the unit sphere.
 
-    The variance of the irradiance has no bound near the light.
+    The variance of the irradiance has no bound near the light. Points of a solid that face away are
+    drawn and dark.
     """
 
     def prepare(self, view: View, normal: mi.Normal3f) -> View:
@@ -28,8 +29,9 @@ class Area:
 
     def sample(self, view: View, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
         """Direction along the light's frame, its density, and validity."""
-        d = dr.normalize(view.centre + view.light.surface_offset(u))
-        return d, view.light.surface_density(view, d), mi.Mask(True)
+        offset, facing = view.light.surface_offset(view, u)
+        d = dr.normalize(view.centre + offset)
+        return d, view.light.surface_density(view, d), facing
 
     def pdf(self, view: View, direction: mi.Vector3f) -> mi.Float:
         """Density of a direction that meets the light."""

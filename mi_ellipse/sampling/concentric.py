@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..geometry import cone
-from ..geometry.ellipse import View
+from ..geometry.light import View
 from . import solid_angle
 from .strategy import register
 

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..geometry.cone import Cone
-from ..geometry.ellipse import View
+from ..geometry.light import View
 from ..geometry.tracing import TINY, branch
 from .solid_angle import SolidAngle
 from .strategy import register

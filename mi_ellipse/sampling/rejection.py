@@ -7,7 +7,7 @@ from typing import NamedTuple
 import drjit as dr
 import mitsuba as mi
 
-from ..geometry.ellipse import View
+from ..geometry.light import View
 from .strategy import register
 
 
@@ -53,6 +53,7 @@ def _angle(s, t0, t1, h):
     mark="s",
     sentence="Uniform in the solid angle of the bounding rectangle; draws beside the ellipse are"
     " dark (Gamito 2016), for comparison.",
+    planar=True,
 )
 class Rejection:
     """One try in the solid angle of the bounding rectangle; a draw beside the ellipse is dark.

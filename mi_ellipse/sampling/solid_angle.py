@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..geometry.cone import Cone
-from ..geometry.ellipse import View
+from ..geometry.light import View
 from .strategy import register
 
 # Sine and cosine of the quarter angle, as polynomials of its fraction and of the square of the

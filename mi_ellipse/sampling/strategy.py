@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol, TypeVar
 
 import mitsuba as mi
 
-from ..geometry.ellipse import View
+from ..geometry.light import View
 
 Record = TypeVar("Record")
 
@@ -16,7 +17,8 @@ Record = TypeVar("Record")
 class Strategy(Protocol[Record]):
     """How two random numbers become a direction towards a light.
 
-    Directions are in the light's own frame: ``(ex, ey, normal)`` for an ellipse. `sample` and `pdf`
+    Directions are in the light's own frame: ``(ex, ey, normal)`` for an ellipse. No strategy asks
+    which light it sees. A strategy for planar lights alone says so in its entry. `sample` and `pdf`
     take the density from one function, so they cannot disagree.
 
     Give a name to each value that is used twice, and to each literal in code that every path runs.
@@ -66,18 +68,22 @@ class Entry:
     mark: str  # In figures, a marker of matplotlib
     sentence: str  # In the documentation
     make: Callable[[], Strategy[Any]]
+    planar: bool = False  # For planar lights alone
 
 
 STRATEGIES: dict[str, Entry] = {}
 DEFAULT = "solid_angle"
 
 
-def register(name: str, colour: str, mark: str, sentence: str, **options: Any) -> Callable:
+def register(
+    name: str, colour: str, mark: str, sentence: str, planar: bool = False, **options: Any
+) -> Callable:
     """Enter a class under a name. Its constructor gets `options`."""
 
     def enter(cls: type) -> type:
         label = name.replace("_", " ")
-        STRATEGIES[name] = Entry(name, label, colour, mark, sentence, lambda: cls(**options))
+        make = partial(cls, **options)
+        STRATEGIES[name] = Entry(name, label, colour, mark, sentence, make, planar)
         return cls
 
     return enter

@@ -9,7 +9,7 @@ import mitsuba as mi
 
 from ..geometry import cone
 from ..geometry.cone import Cone
-from ..geometry.ellipse import View
+from ..geometry.light import View
 from .strategy import register
 
 # Least cosine of the cap's half-angle. Single precision resolves no smaller one for a solid angle

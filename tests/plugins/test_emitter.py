@@ -598,7 +598,7 @@ def test_shape_that_is_no_ellipse(mode):
     with pytest.raises(Exception) as error:  # noqa: PT011
         picture(scene, spp=1)
     message = all_messages(error.value)
-    for word in ("ellipticalarea", "Rectangle", '"ellipse"', '"disk"'):
+    for word in ("ellipticalarea", "Rectangle", '"ellipse"', '"ellipsoid"', '"disk"', '"sphere"'):
         assert word in message
     # Nor does what is left of it fail the next picture.
     good = mi.load_dict(floor_and({"lamp": lamp(LAMP, "solid_angle")}, 2))

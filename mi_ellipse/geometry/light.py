@@ -1,0 +1,139 @@
+"""What a light offers to strategies and lamps, whatever its shape."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import fields
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple, Protocol
+
+import drjit as dr
+import mitsuba as mi
+
+from .cone import Cone
+
+
+class Hit(NamedTuple):
+    """The point of a light that a direction meets."""
+
+    p: mi.Point3f  # World-space point
+    n: mi.Normal3f  # World-space normal there
+    uv: mi.Point2f  # Parameterisation of Mitsuba's shape there
+    distance: mi.Float  # From the reference point, in world units
+
+
+class Outlook(NamedTuple):
+    """What the irradiance of a light depends on, at a surface."""
+
+    sines2: mi.Float  # Squared product of the sines of the cone's half-angles
+    nz: mi.Float  # Cosine between the normal and the axis of the cone
+    reach2: mi.Float  # Squared |nz| at which the horizon of the normal touches the cone
+
+
+class View(ABC):
+    """A light as it is seen from a point, along the light's own axes.
+
+    Parameters
+    ----------
+    light
+        The light.
+    position
+        Vector from the point to the centre, as `Light.light_coordinates` returns it.
+    root
+        The confocal root of the position, if it is known already.
+    """
+
+    def __init__(self, light: Any, position: mi.Vector3d, root: mi.Float | None = None):
+        self.light = light
+        self.position = position
+        self._root = root
+
+    @property
+    def root(self) -> mi.Float:
+        """The confocal root, on which the whole cone rests."""
+        if self._root is None:
+            self._root = self._solve()
+        return self._root
+
+    @abstractmethod
+    def _solve(self) -> mi.Float:
+        """Find the root."""
+
+    @cached_property
+    def centre(self) -> mi.Vector3f:
+        """The position in single precision."""
+        return mi.Vector3f(self.position)
+
+    @property
+    @abstractmethod
+    def cone(self) -> Cone:
+        """The cone of directions that meet the light."""
+
+    def outlook(self, normal: mi.Normal3f) -> Outlook:
+        """What the irradiance depends on, at a surface with a world-space normal."""
+        seen = self.cone
+        n = seen.to_local(self.light.to_light(normal))
+        sines2 = seen.ta2 * seen.tb2 / ((1 + seen.ta2) * (1 + seen.tb2))
+        return Outlook(sines2, n.z, dr.fma(n.x * n.x, seen.ta2, n.y * n.y * seen.tb2))
+
+    @property
+    @abstractmethod
+    def lit(self) -> mi.Mask:
+        """True where the light shines. Draw and density both ask here, so they agree."""
+
+    @property
+    def outside(self) -> mi.Mask:
+        """True where the directions that meet the light are a cone, lit or not."""
+        return mi.Mask(True)
+
+
+class StoredLight(Protocol):
+    """A light as a lamp keeps it between traces: a dataclass of evaluated numbers."""
+
+    def light(self) -> Light:
+        """Return the light for one trace."""
+
+
+class Light(Protocol):
+    """A light in world space, for one trace.
+
+    Directions are given along the light's own axes, lengths in units of its longest semi-axis lx
+    where nothing else is said.
+    """
+
+    planar: ClassVar[bool]  # An ellipse, with principal coordinates; else a solid
+
+    def stored(self) -> StoredLight:
+        """Return what a lamp keeps."""
+
+    def seen_from(self, point: mi.Point3f, root: mi.Float | None = None) -> View:
+        """Return the view of the light from a world-space point; `root` if it is known already."""
+
+    def light_coordinates(self, reference: mi.Point3f) -> mi.Vector3d:
+        """Vector from a world-space point to the centre."""
+
+    def to_light(self, v: mi.Vector3f) -> mi.Vector3f:
+        """Components of a world-space vector along the axes of the light."""
+
+    def to_world(self, v: mi.Vector3f) -> mi.Vector3f:
+        """World-space vector from its components along the axes of the light."""
+
+    def hit(self, view: View, direction: mi.Vector3f) -> Hit:
+        """Return the point where a drawn direction meets the light."""
+
+    def surface_offset(self, view: View, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Mask]:
+        """Vector from the centre to a point of the surface, and whether it faces the view."""
+
+    def surface_density(self, view: View, direction: mi.Vector3f) -> mi.Float:
+        """Density per solid angle of a direction to a point from `surface_offset`."""
+
+    def sample_surface(self, u: mi.Point2f) -> tuple[mi.Point3f, mi.Normal3f, mi.Point2f]:
+        """World-space point of the surface, normal and uv, as `surface_offset` draws it."""
+
+    def surface_pdf(self, p: mi.Point3f) -> mi.Float:
+        """Density per area, in world units, of `sample_surface` at a world-space point."""
+
+
+def field_values(record: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass without copying their values."""
+    return {field.name: getattr(record, field.name) for field in fields(record)}

@@ -1,0 +1,69 @@
+"""Group the lamps of a scene, so that they choose among themselves."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Sequence
+
+import drjit as dr
+import mitsuba as mi
+
+from ..lamps.group import Group
+from .names import ELLIPTICAL_AREA
+
+
+def group_lamps(scene: mi.Scene, lamps: Sequence[mi.Emitter] | None = None) -> Group | None:
+    """Let the lamps of a scene choose among themselves which one answers for a light sample.
+
+    Mitsuba picks the lamp of a light sample at random, the same way at every point. In a group, the
+    lamp that is picked answers for the lamp that gives most to the point, with exact densities. So
+    most of the noise of picking is gone, and all of Mitsuba's integrators work as before.
+
+    The group follows changes of its lamps through ``mi.traverse(scene)`` and ``update()``. A
+    ``sampling_weight`` is a factor of the choice. A lamp of weight 0 stays out.
+
+    Parameters
+    ----------
+    scene
+        The scene, after it was loaded.
+    lamps
+        Emitters of the scene that shall be grouped; by default all `ellipticalarea`.
+
+    Returns
+    -------
+    Group or None
+        None where fewer than two lamps are left, and nothing changes.
+
+    Raises
+    ------
+    ValueError
+        If one of `lamps` is no `ellipticalarea` of the scene.
+    """
+    own = [emitter for emitter in scene.emitters() if hasattr(emitter, "attachment")]
+    if lamps is not None:
+        chosen = list(lamps)
+        for lamp in chosen:
+            if lamp not in own:
+                raise ValueError(
+                    f"group_lamps: {lamp.class_name()} is no {ELLIPTICAL_AREA} of this scene"
+                )
+        own = [emitter for emitter in own if emitter in chosen]
+    for emitter in own:
+        emitter.group = None
+        emitter.attachment.ready(emitter.get_shape)
+    weights = [float(emitter.sampling_weight()) for emitter in own]
+    members = [(e, w) for e, w in zip(own, weights, strict=True) if w > 0]
+    if len(members) < 2:
+        return None
+    emitters = [emitter for emitter, _ in members]
+    group = Group([e.lamp for e in emitters], [w for _, w in members], _identities(emitters))
+    for emitter in emitters:
+        emitter.group = group
+    return group
+
+
+def _identities(emitters: list[mi.Emitter]) -> list:
+    """Registry numbers; in scalar variants weak references, which are called as functions."""
+    if not dr.is_jit_v(mi.Float):
+        return [weakref.ref(emitter) for emitter in emitters]
+    return [dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(e))[0] for e in emitters]
