@@ -4,13 +4,13 @@ import drjit as dr
 import mi_ellipse
 import mitsuba as mi
 import numpy as np
-import oracle
+from oracles import ellipse as oracle
 import pytest
 from conftest import ellipses, ellipsoids
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mi_ellipse.geometry import cone, ellipsoid
-from oracle import MIRROR, SHEAR, rotation, translation
+from oracles.ellipse import MIRROR, SHEAR, rotation, translation
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 
