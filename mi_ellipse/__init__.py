@@ -1,8 +1,8 @@
 """Exact elliptical lights and ellipsoids for Mitsuba 3, sampled by solid angle.
 
 Importing this package makes the shapes `ellipse` and `ellipsoid` and the emitter `ellipticalarea`
-known to every Mitsuba variant, whichever is set, before or after. Import it before `mitsuba`: Dr.Jit
-looks for its LLVM library when it is imported.
+known to every Mitsuba variant, whichever is set, before or after. Import it before `mitsuba`:
+Dr.Jit looks for its LLVM library when it is imported.
 """
 
 from .system import llvm
