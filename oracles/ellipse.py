@@ -117,16 +117,20 @@ def on_cone(
 
 
 def cone_grid(
-    ta: float, tb: float, turns: int = 128, heights: int = 64
+    ta: float, tb: float, turns: int = 128, heights: int = 64, rounded: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """Quadrature over the cone: directions (its frame) and weights that sum to the solid angle.
 
     Midpoints around the axis, where everything is periodic, and Gauss-Legendre nodes along it.
+    With `rounded` for integrands that are infinite at the rim as one over the root of the distance.
     """
     node, weight = gauss(heights)
-    turn, height = np.meshgrid((np.arange(turns) + 0.5) / turns, 0.5 + 0.5 * node, indexing="ij")
+    along, weight = 0.5 + 0.5 * node, 0.5 * weight
+    if rounded:
+        along, weight = along * (2 - along), weight * 2 * (1 - along)
+    turn, height = np.meshgrid((np.arange(turns) + 0.5) / turns, along, indexing="ij")
     d, jacobian = on_cone(ta, tb, turn.ravel(), height.ravel())
-    return d, jacobian * np.tile(0.5 * weight, turns) / turns
+    return d, jacobian * np.tile(weight, turns) / turns
 
 
 # ---- Irradiance ----
@@ -252,3 +256,66 @@ def solid_irradiance(axes, c, n, turns: int = 1024, heights: int = 256) -> float
     frame, ta, tb = solid_cone(axes, c)
     d, weight = cone_grid(ta, tb, turns, heights)
     return float(np.sum(weight * np.maximum(d @ frame @ np.asarray(n, float), 0)))
+
+
+STRATA = (
+    "ordinary", "sphere", "near sphere", "prolate", "oblate", "1e-5 above", "1e-2 above",
+    "1e6 away", "needle", "beyond the tip", "pancake", "blade", "on an axis",
+    "in a principal plane", "world offset",
+)  # fmt: skip
+
+
+@cache
+def extreme_ellipsoids(per_stratum: int = 40) -> dict[str, np.ndarray]:
+    """Ellipsoids seen from outside, as `extreme_ellipses`: axes as columns, and the truth.
+
+    Centre and reference point are rounded to single precision, the axes are not.
+    """
+    rng = np.random.default_rng(5)
+    cases = [_extreme(rng, name) for name in STRATA for _ in range(per_stratum)]
+    axes, centre, reference = (np.array(part) for part in zip(*cases, strict=True))
+    centre, reference = (np.float32(v).astype(float) for v in (centre, reference))
+    seen = [solid_cone(*each) for each in zip(axes, centre - reference, strict=True)]
+    frame, ta, tb = (np.array(part) for part in zip(*seen, strict=True))
+    return {
+        "axes": axes,
+        "centre": centre,
+        "reference": reference,
+        "frame": frame,
+        "ta": ta,
+        "tb": tb,
+        "solid_angle": solid_angle(ta, tb),
+        "stratum": np.repeat(np.arange(len(STRATA)), per_stratum),
+        "labels": np.array(STRATA),
+    }
+
+
+def _extreme(rng, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Semi-axis vectors as columns, centre and reference point of one of `STRATA`."""
+    a, b = np.sort(rng.uniform(0.1, 1, 2))[::-1]
+    thin = 10 ** rng.uniform(-6, -3, 2)
+    lengths = {
+        "sphere": [a, a, a],
+        "near sphere": [1, 1 - 1e-6, 1 - 2e-6],
+        "prolate": [1, b, b],
+        "oblate": [1, 1, b],
+        "needle": [1, *thin],
+        "beyond the tip": [1, *thin],
+        "pancake": [1, a, thin[0]],
+        "blade": [1, 1e-3, 1e-6],
+    }.get(name, [1, a, b])
+    lengths = np.sort(lengths)[::-1]
+    height = {"1e-5 above": 1e-5, "1e-2 above": 1e-2, "1e6 away": 1e6}.get(
+        name, 10 ** rng.uniform(-3, 1)
+    )
+    q = rng.normal(size=3)
+    q[rng.integers(3)] *= name != "in a principal plane"
+    if name in ("on an axis", "beyond the tip"):
+        q = np.eye(3)[0 if name == "beyond the tip" else rng.integers(3)]
+    q /= np.linalg.norm(q)
+    point = q * lengths + height * (q / lengths) / np.linalg.norm(q / lengths)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    if name in ("on an axis", "beyond the tip", "in a principal plane"):
+        turn = np.eye(3)  # So that rounding moves nothing from axis and plane
+    centre = np.float32(1e3 * rng.normal(size=3)) if name == "world offset" else np.zeros(3)
+    return turn * lengths, centre, turn @ point + centre

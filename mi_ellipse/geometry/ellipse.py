@@ -188,14 +188,18 @@ class Ellipse(PrincipalAxes):
         ex, ey, normal = self.axes32
         return dr.fma(ex, v.x, dr.fma(ey, v.y, normal * v.z))
 
-    def surface_offset(self, view: EllipseView, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Mask]:
-        """Vector from the centre to a point uniform on the surface, from two random numbers.
+    def surface_direction(
+        self, view: EllipseView, u: mi.Point2f
+    ) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
+        """Direction to a point uniform on the surface, its density, and that the point is seen.
 
         Through the concentric map (Shirley and Chiu, *A Low Distortion Map Between Disk and
-        Square*, 1997). Along ``(ex, ey, normal)`` in units of lx. Every point faces every view.
+        Square*, 1997).
         """
         point = mi.warp.square_to_uniform_disk_concentric(u)
-        return mi.Vector3f(point.x, self.ratio32 * point.y, 0), mi.Mask(True)
+        offset = mi.Vector3f(point.x, self.ratio32 * point.y, 0)
+        d = dr.normalize(view.centre + offset)
+        return d, self.surface_density(view, d), mi.Mask(True)
 
     def surface_density(self, view: EllipseView, direction: mi.Vector3f) -> mi.Float:
         """Density per solid angle of a direction to a point that is uniform on the surface.

@@ -18,6 +18,10 @@ from .tracing import TINY, cross
 # the axes are orthogonal to 1e-15, up to ratios of 1e6 under shears.
 SWEEPS = 5
 
+# Least squared cosine at the unit sphere, for densities of its points: that part of the draws is
+# below, and rounding a direction moves it by as much.
+LEAST_COSINE2 = 1e-7
+
 
 class EllipsoidView(View):
     """An ellipsoid as it is seen from a point, along its ``(ex, ey, ez)``."""
@@ -151,24 +155,34 @@ class Ellipsoid(SemiAxes):
 
     # ---- Points of the surface ----
 
-    def surface_offset(self, view: EllipsoidView, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Mask]:
-        """Vector from the centre to a point that is uniform on the unit sphere, and its side.
+    def surface_direction(
+        self, view: EllipsoidView, u: mi.Point2f
+    ) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
+        """Direction to a point uniform on the unit sphere, its density, whether the point is seen.
 
-        For a sphere it is uniform on the surface. The point faces the view where the view is on the
-        outer side of its tangent plane.
+        For a sphere it is uniform on the surface. The point is seen where the view is on the outer
+        side of its tangent plane. From the point, the density loses less than `surface_density`
+        does, for which single precision has no digit left from some 1e6 sizes away.
         """
         q = mi.Vector3f(mi.warp.square_to_uniform_sphere(u))
-        return self.from_sphere(q), dr.dot(q, self.to_sphere(view.centre)) < -1
+        offset = view.centre + self.from_sphere(q)
+        distance = dr.norm(offset)
+        d = offset / distance
+        on_sphere = self.to_sphere(d)
+        cosine = -dr.dot(q, on_sphere)
+        pdf = self._surface_density(distance, dr.square(cosine), on_sphere)
+        return d, pdf, dr.dot(q, self.to_sphere(view.centre)) < -1
 
     def surface_density(self, view: EllipsoidView, direction: mi.Vector3f) -> mi.Float:
-        """Density per solid angle of a direction to a point from `surface_offset`.
+        """Density per solid angle of a direction from `surface_direction`."""
+        t, disc, _, d, _ = self._nearer_hit(view, direction)
+        return self._surface_density(t, disc, d)
 
-        ``t² / (4π e h √disc)``: over the area of the unit sphere, t being the distance and e, h the
-        ratios of the semi-axes.
-        """
-        t, disc = self._nearer_hit(view, direction)[:2]
+    def _surface_density(self, t: mi.Float, cosine2: mi.Float, d: mi.Vector3f) -> mi.Float:
+        """``t² / (4π e h |q·d|)`` for the distance t, with q and d on the unit sphere."""
+        cosine2 = dr.maximum(cosine2, LEAST_COSINE2 * dr.squared_norm(d))
         density = dr.inv_four_pi * (self.inv_ratio * self.inv_flatness)
-        return density * dr.square(t) * dr.rsqrt(dr.maximum(disc, TINY))
+        return density * dr.square(t) * dr.rsqrt(cosine2)
 
     def sample_surface(self, u: mi.Point2f) -> tuple[mi.Point3f, mi.Normal3f, mi.Point2f]:
         """World-space point that is uniform on the unit sphere, the normal and uv there."""

@@ -121,14 +121,14 @@ class Light(Protocol):
     def hit(self, view: View, direction: mi.Vector3f) -> Hit:
         """Return the point where a drawn direction meets the light."""
 
-    def surface_offset(self, view: View, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Mask]:
-        """Vector from the centre to a point of the surface, and whether it faces the view."""
+    def surface_direction(self, view: View, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
+        """Direction to a random point of the surface, its density, whether the point is seen."""
 
     def surface_density(self, view: View, direction: mi.Vector3f) -> mi.Float:
-        """Density per solid angle of a direction to a point from `surface_offset`."""
+        """Density per solid angle of a direction from `surface_direction`."""
 
     def sample_surface(self, u: mi.Point2f) -> tuple[mi.Point3f, mi.Normal3f, mi.Point2f]:
-        """World-space point of the surface, normal and uv, as `surface_offset` draws it."""
+        """World-space point of the surface, normal and uv, as `surface_direction` draws it."""
 
     def surface_pdf(self, p: mi.Point3f) -> mi.Float:
         """Density per area, in world units, of `sample_surface` at a world-space point."""

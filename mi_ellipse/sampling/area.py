@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import drjit as dr
 import mitsuba as mi
 
 from ..geometry.light import View
@@ -29,9 +28,7 @@ class Area:
 
     def sample(self, view: View, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
         """Direction along the light's frame, its density, and validity."""
-        offset, facing = view.light.surface_offset(view, u)
-        d = dr.normalize(view.centre + offset)
-        return d, view.light.surface_density(view, d), facing
+        return view.light.surface_direction(view, u)
 
     def pdf(self, view: View, direction: mi.Vector3f) -> mi.Float:
         """Density of a direction that meets the light."""

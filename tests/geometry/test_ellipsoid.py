@@ -4,12 +4,13 @@ import drjit as dr
 import mi_ellipse
 import mitsuba as mi
 import numpy as np
-from oracles import ellipse as oracle
 import pytest
 from conftest import ellipses, ellipsoids
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mi_ellipse.geometry import cone, ellipsoid
+
+from oracles import ellipse as oracle
 from oracles.ellipse import MIRROR, SHEAR, rotation, translation
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
@@ -92,62 +93,18 @@ def test_axes_from_an_array_of_transforms():
 
 # ---- Cone ----
 
-STRATA = (
-    "ordinary", "sphere", "near sphere", "prolate", "oblate", "1e-5 above", "1e-2 above",
-    "1e6 away", "needle", "beyond the tip", "pancake", "blade", "on an axis",
-    "in a principal plane", "world offset",
-)  # fmt: skip
-PER_STRATUM = 40
-
 
 class Extremes:
-    """Lights and points of all strata, rounded as Mitsuba rounds them, and the truth."""
+    """Lights and points of all strata, the truth, and what the package makes of them."""
 
     def __init__(self):
-        self.rng = np.random.default_rng(5)
-        cases = [self.case(name) for name in STRATA for _ in range(PER_STRATUM)]
-        self.label = np.repeat(STRATA, PER_STRATUM)
-        self.axes, centre, reference = (np.array(part) for part in zip(*cases, strict=True))
-        self.centre, self.reference = (np.float32(v).astype(float) for v in (centre, reference))
-        truth = [
-            oracle.solid_cone(a, c)
-            for a, c in zip(self.axes, self.centre - self.reference, strict=True)
-        ]
-        self.frame, self.ta, self.tb = (np.array(part) for part in zip(*truth, strict=True))
-        self.solid_angle = oracle.solid_angle(self.ta, self.tb)
+        data = oracle.extreme_ellipsoids()
+        self.axes, self.centre, self.reference = (data[k] for k in ("axes", "centre", "reference"))
+        self.frame, self.ta, self.tb = (data[k] for k in ("frame", "ta", "tb"))
+        self.solid_angle = data["solid_angle"]
+        self.label = data["labels"][data["stratum"]]
         self.light = ellipsoids(self.axes, self.centre)
         self.view = self.light.seen_from(mi.Point3f(self.reference.T))
-
-    def case(self, name):
-        """Semi-axis vectors as columns, centre and reference point."""
-        rng = self.rng
-        a, b = np.sort(rng.uniform(0.1, 1, 2))[::-1]
-        thin = 10 ** rng.uniform(-6, -3, 2)
-        lengths = {
-            "sphere": [a, a, a],
-            "near sphere": [1, 1 - 1e-6, 1 - 2e-6],
-            "prolate": [1, b, b],
-            "oblate": [1, 1, b],
-            "needle": [1, *thin],
-            "beyond the tip": [1, *thin],
-            "pancake": [1, a, thin[0]],
-            "blade": [1, 1e-3, 1e-6],
-        }.get(name, [1, a, b])
-        lengths = np.sort(lengths)[::-1]
-        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-        height = {"1e-5 above": 1e-5, "1e-2 above": 1e-2, "1e6 away": 1e6}.get(
-            name, 10 ** rng.uniform(-3, 1)
-        )
-        q = rng.normal(size=3)
-        q[rng.integers(3)] *= name != "in a principal plane"
-        if name in ("on an axis", "beyond the tip"):
-            q = np.eye(3)[0 if name == "beyond the tip" else rng.integers(3)]
-        if name.startswith(("on", "in", "beyond")):
-            turn = np.eye(3)  # Rounding moves nothing from axis and plane
-        q /= np.linalg.norm(q)
-        point = q * lengths + height * (q / lengths) / np.linalg.norm(q / lengths)
-        centre = 1e3 * rng.normal(size=3) if name == "world offset" else np.zeros(3)
-        return turn * lengths, centre, turn @ point + np.float32(centre)
 
 
 @pytest.fixture(scope="module")
