@@ -146,14 +146,16 @@ class Group:
     ) -> tuple[mi.DirectionSample3f, mi.UnpolarizedSpectrum]:
         """Answer of a member that is asked for a light sample, of any member."""
         inputs = type(it)(it), mi.Point2f(u), active
-        return self._draw_once(inputs, partial(self._sample_direction, lamp, *inputs))
+        shared = self._instance_number(lamp) is not None
+        return self._draw_once(shared, inputs, partial(self._sample_direction, lamp, *inputs))
 
     def pdf_direction(
         self, lamp: Lamp, it: mi.Interaction3f, d: mi.Vector3f, active: mi.Mask
     ) -> mi.Float:
         """Density of a direction that meets a member."""
         inputs = type(it)(it), mi.Vector3f(d), active
-        return self._density_once(inputs, partial(self._pdf_direction, lamp, *inputs))
+        shared = self._instance_number(lamp) is not None
+        return self._density_once(shared, inputs, partial(self._pdf_direction, lamp, *inputs))
 
     def _sample_direction(self, lamp, it, u, active):
         asked = self._slot_of(lamp)
@@ -222,9 +224,12 @@ class Group:
     def _place_of(self, lamp: Lamp) -> int:
         return next(k for k, member in enumerate(self._lamps) if member is lamp)
 
+    def _instance_number(self, lamp: Lamp) -> mi.UInt32 | None:
+        return None if _scalar() else instance_number(self._emitters[self._place_of(lamp)])
+
     def _slot_of(self, lamp: Lamp) -> mi.UInt32:
         """Slot of the member whose method is called."""
-        number = None if _scalar() else instance_number()
+        number = self._instance_number(lamp)
         if number is not None:
             return dr.gather(mi.UInt32, self.slot, number)
         return mi.UInt32(int(self._slots[self._place_of(lamp)]))
@@ -241,8 +246,9 @@ class _Once:
         self.members = members
         self._forget()
 
-    def __call__(self, inputs: tuple, compute: Callable[[], Any]) -> Any:
-        if not _shared_trace() or dr.grad_enabled(inputs):
+    def __call__(self, shared: bool, inputs: tuple, compute: Callable[[], Any]) -> Any:
+        """Result of `compute`, whose inputs Dr.Jit shares among the members' traces if `shared`."""
+        if not shared or dr.grad_enabled(inputs):
             return compute()
         key = tuple(dr.detail.collect_indices(inputs))
         if self._key != key:
@@ -258,15 +264,6 @@ class _Once:
     def _forget(self) -> None:
         self._key = self._inputs = self._result = None
         self._served = 0
-
-
-def _shared_trace() -> bool:
-    """Tell whether Dr.Jit traces a call of which all instances share the variables."""
-    return (
-        dr.is_jit_v(mi.Float)
-        and dr.flag(dr.JitFlag.SymbolicScope)
-        and instance_number() is not None
-    )
 
 
 @dataclass(frozen=True)
