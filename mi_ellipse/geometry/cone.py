@@ -9,19 +9,20 @@ import mitsuba as mi
 
 from .tracing import TINY, cross
 
-# Floor of a difference of eigenvalues, in units of the longer semi-axis, at which the other one is
-# negligible. Its product with the square of any ratio of the semi-axes is representable.
+# Floor of a difference of eigenvalues, in units of the longer semi-axis. The other difference is
+# negligible there. The product of the floor with the square of any ratio of the semi-axes is
+# representable.
 SMALLEST = 1e-20
 
 # Squared distance from the axis, in units of the longer semi-axis, below which it does not matter.
 ON_AXIS = 1e-16
 
-# From here on the cubic's first coefficient is its root to single precision, and its terms are soon
-# out of range.
+# From here on the first coefficient of the cubic equals its root in single precision. The terms of
+# the cubic soon leave the range.
 FAR = 1e9
 
-# Least root λ of an ellipsoid, in units of its squared longest semi-axis: that of a point on its
-# surface. Its square is representable.
+# Least root λ of an ellipsoid, in units of its squared longest semi-axis. A point on the surface
+# gets it. Its square is representable.
 LOWEST_ROOT = 1e-24
 
 # Steps of Bulirsch's complete elliptic integral (see `solid_angle`).
@@ -72,9 +73,9 @@ def _positive_root(b: mi.Float, p: mi.Float, k: mi.Float) -> mi.Float:
 def _refine(root: mi.Float, a: mi.Float, b: mi.Float, c: mi.Float) -> mi.Float:
     """Largest root of the cubic ``λ³ - a λ² - b λ - c``, from a starting value in two steps.
 
-    Cauchy's method solves the Taylor polynomial of second order; it never leaves the side of the
-    root where the cubic rises. The last step is the inverse of the cubic to fourth order
-    (Schröder).
+    The first step is Cauchy's method: it solves the Taylor polynomial of second order. It never
+    leaves the side of the root where the cubic rises. The second step is the inverse of the cubic
+    to fourth order (Schröder).
     """
 
     def taylor(root):
@@ -102,20 +103,20 @@ def _refine(root: mi.Float, a: mi.Float, b: mi.Float, c: mi.Float) -> mi.Float:
 def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
     """Positive root λ of ``x²/(1 + λ) + y²/(e² + λ) + z²/λ = 1``.
 
-    It is the largest root of the cubic ``λ³ - a λ² - b λ - c``, the only positive one. In `a` and
-    `b`, sums of both signs, lies all that cancels near the rim; formed in double precision, they
-    leave the root well-conditioned in single precision, however close the cubic's other roots,
-    in ``[-e², 0]`` and ``[-1, -e²]``, are to it.
+    It is the largest root of the cubic ``λ³ - a λ² - b λ - c``, and the only positive one. The
+    other roots are in ``[-e², 0]`` and ``[-1, -e²]``. Near the rim, only the sums `a` and `b`
+    cancel. They are formed in double precision. The root is then well-conditioned in single
+    precision, however close the other roots are to it.
 
-    The start is the larger of two: the root without the cubic's last or first term, and that of
-    ``r²/(m/r² + λ) + z²/λ = 1`` for ``r² = x² + y²`` and ``m = x² + e² y²``, a lower bound by
-    Jensen's inequality that is exact for circles and far lights.
+    The start is the larger of two values. One is the root of the cubic without its last or its
+    first term. The other one is the root of ``r²/(m/r² + λ) + z²/λ = 1`` for ``r² = x² + y²`` and
+    ``m = x² + e² y²``: a lower bound by Jensen's inequality, exact for circles and far lights.
 
-    Largest relative error over 1 000 000 lights, most of them needles seen from close to their
-    plane and rim: 1 at the start and .015 after one step, in exact arithmetic, and 2.6e-7 after
-    both in single precision. That is for ``c > 1e-31``. Below (a needle of aspect 1e6, seen from
-    less than 3e-10 above its plane) terms of the cubic leave the range of single precision, and the
-    error can be as large as the root.
+    The largest relative error over 1 000 000 lights, most of them needles seen from close to their
+    plane and rim, is 1 at the start and 0.015 after one step, in exact arithmetic. After both steps
+    in single precision it is 2.6e-7. This holds for ``c > 1e-31``. A needle of aspect 1e6 that is
+    seen from less than 3e-10 above its plane has a smaller c. Terms of the cubic then leave the
+    range of single precision, and the error can be as large as the root.
     """
     x, y, z = centre
     x2, y2, z2, e2 = dr.fma(x, x, ON_AXIS), y * y, z * z, ratio * ratio
@@ -146,9 +147,9 @@ def of_ellipse(
 ) -> Cone:
     """Cone of the directions that meet a planar ellipse.
 
-    Eigen-decomposition of the dual cone matrix ``U Uᵀ + W Wᵀ - C Cᵀ`` in confocal coordinates. In
-    the principal frame of the light all three eigenvalues follow from one root without
-    cancellation, also for points in the light's plane, needles and distant lights.
+    This is the eigen-decomposition of the dual cone matrix ``U Uᵀ + W Wᵀ - C Cᵀ`` in confocal
+    coordinates. In the principal frame of the light, all three eigenvalues follow from one root
+    without cancellation. That holds for points in the light's plane, needles and distant lights.
 
     Parameters
     ----------
@@ -184,7 +185,7 @@ def of_ellipse(
     ta2 = mu1 * inv_root
     tb2 = dr.square(height) * (e2 * inv_mu1)
 
-    # Minor axis; it vanishes for a circle seen on its axis, where every direction will do.
+    # Minor axis. It vanishes for a circle seen on its axis, where every direction across will do.
     along = eccentricity2 + m2
     y = mi.Vector3f(
         xc * height * m2,
@@ -196,7 +197,7 @@ def of_ellipse(
 
 
 def _minor_axis(y: mi.Vector3f, z: mi.Vector3f, otherwise: mi.Vector3f) -> mi.Vector3f:
-    """Make an axis orthogonal to z, or take another one where only rounding is left of it."""
+    """Make an axis orthogonal to z. Take another axis where only rounding is left of it."""
     size2, overlap = dr.squared_norm(y), dr.dot(y, z)
     left2 = dr.fma(-overlap, overlap, size2)
     y = (y - z * overlap) * dr.rsqrt(left2)
@@ -206,9 +207,8 @@ def _minor_axis(y: mi.Vector3f, z: mi.Vector3f, otherwise: mi.Vector3f) -> mi.Ve
 class Confocal(NamedTuple):
     """Coefficients in double precision of the cubic whose largest root is λ.
 
-    ``x²/(1 + λ) + y²/(e² + λ) + z²/(h² + λ) = 1`` for an ellipsoid with the semi-axes 1, e, h and
-    its centre at (x, y, z). Each is a sum of both signs, in which lies all that cancels near the
-    surface.
+    The cubic is that of ``x²/(1 + λ) + y²/(e² + λ) + z²/(h² + λ) = 1``, for an ellipsoid with the
+    semi-axes 1, e, h and its centre at (x, y, z). Near the surface only these sums cancel.
     """
 
     x2: mi.Float64
@@ -220,7 +220,7 @@ class Confocal(NamedTuple):
     z2_less_h2: mi.Float64
     c: (
         mi.Float64
-    )  # Minus the constant term: e² h² (|o|² - 1), o the point on the unit sphere's scale
+    )  # Minus the constant term: e² h² (|o|² - 1), o the point where it is a unit sphere
 
 
 def confocal(centre: mi.Vector3d, ratio: mi.Float64, flatness: mi.Float64) -> Confocal:
@@ -321,8 +321,8 @@ def of_ellipsoid(centre: mi.Vector3f, root: mi.Float, ratio: mi.Float, flatness:
 def solid_angle(cone: Cone) -> mi.Float:
     """Solid angle of the cone.
 
-    ``(4/3) ta tb R_J(0, 1 + ta², 1 + tb², 1)`` in Bulirsch's form of the complete elliptic
-    integral; 6 steps are exact to 6e-7 over half-angle tangents in [1e-6, 1e6].
+    It is ``(4/3) ta tb R_J(0, 1 + ta², 1 + tb², 1)`` (Carlson), here in Bulirsch's form of the
+    complete elliptic integral. 6 steps are exact to 6e-7 over half-angle tangents in [1e-6, 1e6].
     """
     ta, tb = cone.ta, cone.tb
     a = dr.fma(ta, ta, 1)
@@ -346,9 +346,10 @@ def solid_angle(cone: Cone) -> mi.Float:
 def vector_irradiance(cone: Cone) -> mi.Vector3f:
     """Integral of the direction over the cone, in the frame in which the axes are given.
 
-    ``π sin α sin β z`` with the half-angles α and β and the axis z: Heitz and Hill, *Real-Time
-    Line- and Disk-Light Shading with Linearly Transformed Cosines* (SIGGRAPH course, 2017). Its
-    product with a normal is the irradiance of a unit radiance, if the light is above the horizon.
+    It is ``π sin α sin β z`` with the half-angles α and β and the axis z: Heitz and Hill,
+    *Real-Time Line- and Disk-Light Shading with Linearly Transformed Cosines* (SIGGRAPH course,
+    2017). Its product with a normal is the irradiance from a unit radiance, if the light is above
+    the horizon.
     """
     sines = cone.ta * cone.tb / dr.sqrt((1 + cone.ta2) * (1 + cone.tb2))
     return cone.z * (dr.pi * sines)

@@ -149,7 +149,7 @@ class Ellipse(PrincipalAxes):
     def eccentricity2(self) -> mi.Float:
         """``1 - ratio²`` of the ratio in single precision.
 
-        Near circles, where that rounding shows, it turns axes of the cone that do not matter there.
+        The rounding shows near circles. There it turns axes of the cone, which do not matter.
         """
         return dr.fma(-self.ratio32, self.ratio32, 1)
 
@@ -166,7 +166,7 @@ class Ellipse(PrincipalAxes):
     def light_coordinates(self, reference: mi.Point3f) -> mi.Vector3d:
         """Vector from a world-space point to the centre, along ``(ex, ey, normal)`` in units of lx.
 
-        Its third component is positive behind the light and negative on the emitting side; it is
+        The third component is positive behind the light and negative on the emitting side. It is
         never zero (`PLANE_FLOOR`).
         """
         offset = (mi.Point3d(self.centre) - mi.Point3d(reference)) * self.inv_lx
@@ -298,16 +298,16 @@ class Ellipse(PrincipalAxes):
 def from_transform(to_world) -> Ellipse:
     """Principal axes of the image of the unit disk under an affine map.
 
-    The singular vectors of the two image axes ``[U W]``, in double precision: the angle of the
-    major axis in the disk's own parameter, ``½ atan2(2 U·W, U·U - W·W)``, then the shorter length
-    from the area, which loses nothing on needles.
+    These are the singular vectors of the two image axes ``[U W]``, in double precision. The angle of
+    the major axis on the disk is ``½ atan2(2 U·W, U·U - W·W)``. The shorter length follows from the
+    area, which loses nothing on needles.
 
     Parameters
     ----------
     to_world
-        A transform of any precision, or its 4×4 matrix: the unit disk of the object-space XY
-        plane is mapped to the light. The side towards the image of +Z emits, as for Mitsuba's
-        `disk`, also under mirrors.
+        A transform of any precision, or its 4×4 matrix. It maps the unit disk of the object-space
+        XY plane to the light. The side towards the image of +Z emits. Mitsuba's `disk` does the
+        same, also under mirrors.
     """
     matrix = mi.Matrix4d(getattr(to_world, "matrix", to_world))
     u, w, centre = (mi.Vector3d(matrix[0, k], matrix[1, k], matrix[2, k]) for k in (0, 1, 3))
