@@ -298,7 +298,7 @@ class Ellipse(PrincipalAxes):
 def from_transform(to_world) -> Ellipse:
     """Principal axes of the image of the unit disk under an affine map.
 
-    These are the singular vectors of the two image axes ``[U W]``, in double precision. The angle of
+    These are the singular vectors of the image axes ``[U W]``, in double precision. The angle of
     the major axis on the disk is ``½ atan2(2 U·W, U·U - W·W)``. The shorter length follows from the
     area, which loses nothing on needles.
 
