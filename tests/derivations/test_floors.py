@@ -11,7 +11,7 @@ from mi_ellipse.sampling.concentric import NODES as CONCENTRIC_NODES
 from derivations import floors, quadrature
 
 
-@pytest.mark.parametrize("window", floors.windows(), ids=lambda window: window.name)
+@pytest.mark.parametrize("window", floors.WINDOWS, ids=lambda window: window.name)
 def test_floor(window):
     assert window.low < window.high
     # TINY's own window is a single number of double precision, which it rounds
