@@ -95,12 +95,12 @@ def _to_numpy(result, shape: tuple[int, ...]):
     if isinstance(result, TangentEllipse):
         return TangentEllipse(*(_to_numpy(field, shape) for field in result))
     array = np.array(result)
-    return array.T.reshape(*shape, 3) if array.ndim == 2 else array.reshape(shape)
+    return array.T.reshape((*shape, 3)) if array.ndim == 2 else array.reshape(shape)
 
 
 def _stack(values, shape: tuple[int, ...]) -> np.ndarray:
     array = np.array([np.array(value) for value in values])
-    return array.reshape(*shape, *array.shape[1:])
+    return array.reshape((*shape, *array.shape[1:]))
 
 
 def _or_zero(view: View, value):

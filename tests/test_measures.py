@@ -5,6 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from oracles import ellipse as oracle
 from oracles.ellipse import (
     MIRROR,
     SHEAR,
@@ -142,3 +143,56 @@ def test_mesh_carries_an_emitter(llvm_ad_rgb):
 def test_mesh_refuses_too_few_segments(llvm_ad_rgb):
     with pytest.raises(ValueError, match="segments=2 must be at least 3"):
         mi_ellipse.tessellate(LIGHT, 2)
+
+
+# ---- One point, and the places where something is 0/0 ----
+
+ON_TOP = np.diag([0.5, 0.3, 1.0, 1.0])
+ON_TOP[2, 3] = 1
+UP = np.array([0.0, 0, 1])
+
+# On the axis, beside it, in the plane inside and outside, at the rim, above and far away
+PLACES = [
+    [0, 0, 0],
+    [0.3, 0.1, 0],
+    [0.1, 0.1, 1],
+    [2, 0, 1],
+    [0.5, 0, 1],
+    [0, 0, 3],
+    [40, 30, -200],
+]
+
+
+def test_numbers_of_one_point(variant):
+    """A point and a normal without leading axes; closed forms, and quadrature for the second."""
+    seen = ON_TOP, np.array([0.3, 0.1, 0])
+    u, w, c = oracle.seen_from(*seen)
+    _, ta, tb = oracle.cone(u, w, c)
+    assert mi_ellipse.solid_angle(*seen) == pytest.approx(oracle.solid_angle(ta, tb), rel=2e-6)
+    expected = oracle.irradiance(u, w, c, UP)
+    assert mi_ellipse.irradiance(*seen, UP) == pytest.approx(expected, rel=2e-6)
+    assert mi_ellipse.vector_irradiance(*seen).shape == (3,)
+    assert mi_ellipse.tangent_ellipse(*seen).x.shape == (3,)
+
+    circle = np.eye(4)
+    circle[2, 3] = 1
+    assert mi_ellipse.irradiance(circle, np.zeros(3), UP) == pytest.approx(np.pi / 2, rel=2e-6)
+    on_axis = np.pi * 0.15 / np.sqrt(1.25 * 1.09)
+    assert mi_ellipse.irradiance(ON_TOP, np.zeros(3), UP) == pytest.approx(on_axis, rel=2e-6)
+
+
+def test_every_place_in_every_variant(variant):
+    """Python's floats raise an error where Dr.Jit's arrays divide by zero."""
+    places = np.array(PLACES, dtype=float)
+    normals = np.array([UP, -UP, [1, 0, 0], [0.6, 0, 0.8]])
+    for normal in normals:
+        together = mi_ellipse.irradiance(ON_TOP, places, normal)
+        for place, one in zip(places, together, strict=True):
+            assert np.isfinite(one)
+            alone = mi_ellipse.irradiance(ON_TOP, place, normal)
+            assert alone == pytest.approx(float(one), rel=1e-5, abs=1e-9)
+    omega = mi_ellipse.solid_angle(ON_TOP, places)
+    assert np.isfinite(omega).all()
+    # In its plane a light fills half of all directions inside, and none outside.
+    assert omega[2] == pytest.approx(2 * np.pi, rel=1e-5)
+    assert omega[3] == pytest.approx(0, abs=1e-9)

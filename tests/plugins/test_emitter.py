@@ -77,6 +77,31 @@ def test_registration(code):
     assert process.returncode == 0, process.stderr
 
 
+TYPES = """
+import mi_ellipse
+import mitsuba as mi
+mi.set_variant("llvm_ad_rgb")
+manager = mi.PluginManager.instance()
+assert manager.plugin_type("ellipse") == mi.ObjectType.Shape
+assert manager.plugin_type("ellipticalarea") == mi.ObjectType.Emitter
+assert mi.variant() == "llvm_ad_rgb"
+shapes = {f"{kind}{k}": {"type": kind, "emitter": {"type": "ellipticalarea"}}
+          for kind in ("ellipse", "disk") for k in range(2)}
+scene = mi.load_dict({"type": "scene"} | shapes)
+assert len({shape.id() for shape in scene.shapes()}) == len(scene.emitters()) == 4
+assert all(f"{name}.to_world" in mi.traverse(scene) for name in shapes)
+config = mi.parser.ParserConfig(mi.variant())
+text = mi.parser.write_string(mi.parser.parse_dict(config, {"type": "scene"} | shapes))
+assert len(mi.load_string(text).emitters()) == 4
+"""
+
+
+def test_types_are_known_when_one_variant_is_set():
+    """Equal lamps of a dictionary stay apart, and it can be written as XML."""
+    process = subprocess.run([sys.executable, "-c", TYPES], capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
+
+
 # ---- Names and parameters ----
 
 
