@@ -101,11 +101,13 @@ class EllipticalArea:
     def _faces(self, si):
         """Tell whether a point of the lamp is seen from its emitting side.
 
-        The interpolated normals of an ellipsoid's mesh face away near its silhouette.
+        The interpolated normals of an ellipsoid's mesh face away near its silhouette, where its
+        triangles do not.
         """
-        if self.lamp.planar:
-            return mi.Frame3f.cos_theta(si.wi) > 0
-        return dr.dot(si.n, si.to_world(si.wi)) > 0
+        faces = mi.Frame3f.cos_theta(si.wi) > 0
+        if not self.lamp.planar:
+            faces |= dr.dot(si.n, si.to_world(si.wi)) > 0
+        return faces
 
     def _radiance(self, si, lit):
         return mi.depolarizer(dr.select(lit, self.lamp.radiance.eval(si, lit), 0))
