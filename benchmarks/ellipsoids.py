@@ -1,4 +1,4 @@
-"""Error and time of sphere and ellipsoid lamps, against Mitsuba's `sphere` and a mesh with `area`."""
+"""Error and time of sphere and ellipsoid lamps, against `sphere` + `area` and a mesh + `area`."""
 
 from __future__ import annotations
 

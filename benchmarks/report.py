@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-
 from mi_ellipse.sampling import STRATEGIES
 
 from .lamps import SPP as LAMPS_SPP
@@ -315,9 +314,9 @@ def _ellipsoids(results: dict) -> str:
     return (
         "## Sphere and ellipsoid lamps [ellipsoids]\n\n"
         f"A floor under a sphere of radius 0.3, or an ellipsoid with the semi-axes 1.2, 0.3 and "
-        f"0.15, seen beside the lamp; {results['spp']} spp. Built-in is `sphere` + `area`, which is "
-        "uniform in solid angle, or a mesh of 20 480 triangles + `area`. Trimmed squared error in "
-        "millionths, how many times lower than that of built-in, and time over that of built-in.\n\n"
+        f"0.15, seen beside the lamp; {results['spp']} spp. Built-in is `sphere` + `area`, uniform "
+        "in solid angle, or a mesh of 20 480 triangles + `area`. Trimmed squared error in "
+        "millionths, how many times lower it is than built-in's, and time over built-in's.\n\n"
         + table("lamp | samples | kind | error | times lower | time", rows)
     )
 
