@@ -25,6 +25,7 @@ NAMES = (
     "lamps",
     "first_frame",
     "growth",
+    "ellipsoids",
 )
 FIGURES = "figures"
 
@@ -51,12 +52,12 @@ def main() -> None:
         parser.error(f"unknown: {', '.join(sorted(unknown))}; choose from {', '.join(NAMES)}")
 
     mi.set_variant("llvm_ad_rgb")
-    from . import accuracy, harness, report
+    from . import harness, report
 
     for name in arguments.names or NAMES:
         print(f"---- {name}: {harness.machine()} ----", flush=True)
         if name == "accuracy":
-            accuracy.main([])
+            import_module(".accuracy", __package__).main([])
             figures.write()
             continue
         run = import_module(f".{name}", __package__).run
