@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from conftest import ellipses, ellipsoids
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mi_ellipse.geometry import cone, ellipsoid
 
@@ -169,7 +169,13 @@ def test_sphere_is_seen_as_a_cap():
     np.testing.assert_allclose(got, expected, rtol=1e-6)
 
 
-@settings(max_examples=100, deadline=None, derandomize=True, database=None)
+@settings(
+    max_examples=100,
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],  # A busy machine is no failure
+)
 @given(
     lengths=st.tuples(*[st.floats(-3, 0).map(lambda e: 10**e)] * 3),
     direction=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1),
