@@ -298,9 +298,9 @@ def _minor_share(h: mi.Float) -> mi.Float:
 
     The share of each side of a small light is in proportion to the power 3/8 of its irradiance.
     This polynomial is within 10.6 % of that up to h = 0.95. A factor of 0.30 instead of 0.25 would
-    be within 7.1 %. The factor stays as it is, so that pictures stay the same. The power 1 would be best for the squared
-    error of an image, and the power 0 for the mean relative variance. For lights that fill the view
-    the share comes close to one half, because h is a ratio of tangents.
+    be within 7.2 %. The factor stays as it is, so that pictures stay the same. The power 1 would be
+    best for the squared error of an image, and the power 0 for the mean relative variance. For
+    lights that fill the view the share comes close to one half, because h is a ratio of tangents.
 
     Parameters
     ----------
