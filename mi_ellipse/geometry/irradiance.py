@@ -9,7 +9,9 @@ import numpy as np
 from .tracing import TINY
 
 # Gauss-Legendre rule over the azimuths at which the horizon cuts the cone. With 32 nodes the error
-# of the irradiance is some 1e-6 of the irradiance without the horizon.
+# is some 1e-6 of the irradiance without the horizon, for tangents of the half-angles up to 10 and
+# ratios of these tangents from 0.01. For tangents up to 100 the error reaches 1.3e-4
+# (derivations/quadrature.py).
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 

@@ -14,8 +14,8 @@ from . import solid_angle
 from .strategy import register
 
 # Steps of Newton's method after the shifted κ map, and nodes of the Gauss-Legendre rule that
-# integrates the azimuthal density. With them the eccentric angle is exact to 4e-11 in double
-# precision.
+# integrates the azimuthal density. With them the error of the eccentric angle is at most 4e-8, for
+# half-angles near 90°. That is below the rounding of single precision (derivations/quadrature.py).
 NEWTON_STEPS = 2
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 

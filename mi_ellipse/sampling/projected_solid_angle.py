@@ -16,8 +16,8 @@ from .strategy import register
 
 # Squared scale c² of the tangent T of the latitude λ. The primitive of (1 + c² T²)^(-3/2) is
 # elementary, and c² = 4/3 matches the wanted weight cos² λ to second order. Over slices from pole
-# to pole the best value is 1.7 to 2. So up to 0.4 is added for long slices: this halves the
-# variance of lights that fill the view.
+# to pole the best value is 1.82. So up to 0.4 is added for long slices. This lowers the variance of
+# lights that fill the view by 35 % (derivations/latitude.py).
 LATITUDE_SCALE2 = 4 / 3
 LONG_SLICES = 0.4
 
@@ -26,7 +26,8 @@ LONG_SLICES = 0.4
 LEAST_CHANGE = 0.05
 
 # Largest κ η (see `Slices`). Single precision resolves η to 6e-4 there. For longer needles, the
-# peak of the integral of the cosine is narrower than the peak of what is drawn.
+# peak of the integral of the cosine is narrower than the peak of what is drawn. Higher limits lower
+# the variance of these needles, but their bias is not measured.
 HIGHEST_PEAK = 100
 
 # A side of the horizon that is thinner than this part of τ_max gets no draws of its own: the
@@ -34,7 +35,9 @@ HIGHEST_PEAK = 100
 THINNEST_SIDE = 1e-5
 
 # Weight of q beside that of q² in `_profile`. Without it the density falls to zero at the horizon
-# of the geometric normal. The cosine of a shading normal does not fall to zero there.
+# of the geometric normal. The cosine of a shading normal does not fall to zero there. A higher
+# weight raises the least density, and the variance too. At 0.25 the least density is 0.088 of the
+# uniform one, and the mean relative variance is 0.0135 (derivations/slices.py).
 AT_HORIZON = 0.25
 
 # Places where the factors at the ends of a side are measured. If the horizon divides the cone, they
@@ -45,7 +48,7 @@ OUTER_NODE = 0.8
 # Floors and limits of single precision (derivations/floors.py)
 LEAST_LEFT = 1e-7  # Part of the range of `_profile` left at a rim, where the density falls to 0
 LEAST_Q = 1e-7  # q at a horizon, where the density can fall to 0
-LEAST_QUANTILE = 1e-9  # In single precision it acts as 0
+LEAST_QUANTILE = 1e-9  # It acts as 0 in single precision: it is lost beside 1
 LARGEST_QUANTILE = 1 - 6e-8  # The largest number below 1
 INWARDS = 3e-7  # Part of the width of a cone that is left out at its rims
 LARGEST_TANGENT2 = 1e16  # Beyond a tangent of 1e8 the half-angle is 90° to single precision
@@ -294,9 +297,10 @@ def _minor_share(h: mi.Float) -> mi.Float:
     """Share of the draws for the smaller side of a cone that the horizon divides.
 
     The share of each side of a small light is in proportion to the power 3/8 of its irradiance.
-    This polynomial is within 11 % of that up to h = 0.95. The power 1 would be best for the squared
-    error of an image, and the power 0 for the mean relative variance. For lights that fill the view
-    the share comes close to one half, because h is a ratio of tangents.
+    This polynomial is within 10.6 % of that up to h = 0.95. A factor of 0.30 instead of 0.25 would
+    be within 7.2 %. The factor stays as it is, so that pictures stay the same. The power 1 would be
+    best for the squared error of an image, and the power 0 for the mean relative variance. For
+    lights that fill the view the share comes close to one half, because h is a ratio of tangents.
 
     Parameters
     ----------
