@@ -55,10 +55,10 @@ SPP = {CYCLES: (4, 36), "Mitsuba": (32, 288)}
 # ---- The two renderers -------------------------------------------------------------------------
 
 
-class Cycles:
-    """Cycles in an interpreter of its own."""
+class Blender:
+    """Cycles in an interpreter of its own, with the scene that a description says."""
 
-    def __init__(self, python: str):
+    def __init__(self, python: str, description: dict):
         # -P: the folder of the script holds this module, and Blender's add-on is named alike.
         script = Path(__file__).parent / "cycles_render.py"
         self.process = subprocess.Popen(
@@ -68,9 +68,10 @@ class Cycles:
             stderr=subprocess.DEVNULL,
             text=True,
         )
-        self.version = self._ask(SCENE)["version"]
+        self.version = self.ask(description)["version"]
 
-    def _ask(self, request: dict) -> dict:
+    def ask(self, request: dict) -> dict:
+        """Send a request and wait for the reply."""
         self.process.stdin.write(json.dumps(request) + "\n")
         self.process.stdin.flush()
         reply = self.process.stdout.readline()
@@ -78,27 +79,36 @@ class Cycles:
             raise RuntimeError(f"Blender's process ended with status {self.process.wait()}")
         return json.loads(reply)
 
-    def time(self, height: float, estimator: str, spp: int, seed: int) -> dict[str, float]:
-        """Wall-clock and processor seconds of one picture."""
-        reply = self._ask(self._request(height, estimator, spp, [seed]))
-        return {clock: values[0] for clock, values in reply.items()}
-
-    def pictures(self, height: float, estimator: str, spp: int, seeds: range) -> np.ndarray:
+    def render(self, request: dict, seeds: range) -> np.ndarray:
         """One picture for each seed."""
         with tempfile.TemporaryDirectory() as folder:
             output = Path(folder) / "pictures.npy"
-            request = self._request(height, estimator, spp, list(seeds))
-            self._ask(request | {"output": str(output)})
+            self.ask(request | {"seeds": list(seeds), "output": str(output)})
             return np.load(output)
-
-    def _request(self, height: float, estimator: str, spp: int, seeds: list[int]) -> dict:
-        mis = estimator == "MIS"
-        return {"height": height, "tilt": TILT, "mis": mis, "spp": spp, "seeds": seeds}
 
     def close(self) -> None:
         """End the other process."""
         self.process.stdin.close()
         self.process.wait()
+
+
+class Cycles(Blender):
+    """Cycles with the scene of this module."""
+
+    def __init__(self, python: str):
+        super().__init__(python, SCENE)
+
+    def time(self, height: float, estimator: str, spp: int, seed: int) -> dict[str, float]:
+        """Wall-clock and processor seconds of one picture."""
+        reply = self.ask(self._request(height, estimator, spp) | {"seeds": [seed]})
+        return {clock: values[0] for clock, values in reply.items()}
+
+    def pictures(self, height: float, estimator: str, spp: int, seeds: range) -> np.ndarray:
+        """One picture for each seed."""
+        return self.render(self._request(height, estimator, spp), seeds)
+
+    def _request(self, height: float, estimator: str, spp: int) -> dict:
+        return {"height": height, "tilt": TILT, "mis": estimator == "MIS", "spp": spp}
 
 
 def mitsuba_scene(kind: str, integrator: dict, height: float) -> mi.Scene:
@@ -162,9 +172,9 @@ def floor_pixels(scene: mi.Scene, grid: int = 16) -> np.ndarray:
 
 
 def agreement(pictures: np.ndarray, reference: np.ndarray, mask: np.ndarray) -> dict[str, float]:
-    """Relative deviation from a reference: of the floor's mean, and of its worst 32² pixels."""
-    side = SCENE["size"] // 5
-    tile = np.add.outer(5 * (np.arange(SCENE["size"]) // side), np.arange(SCENE["size"]) // side)
+    """Relative deviation from a reference: of the mean, and of the worst of 5 × 5 tiles."""
+    place = 5 * np.arange(len(reference)) // len(reference)
+    tile = np.add.outer(5 * place, place)
     total = [
         np.bincount(tile[mask], image.mean(axis=2)[mask], 25)
         for image in (pictures.mean(axis=0), reference)
