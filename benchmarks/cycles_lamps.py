@@ -84,7 +84,9 @@ def mitsuba_scene(kind: str, integrator: dict, scene: dict) -> mi.Scene:
     """The described scene with a strategy or Mitsuba's own lamps."""
     transform = mi.ScalarTransform4f()
     gray = {"type": "diffuse", "reflectance": {"type": "rgb", "value": scene["albedo"]}}
-    things = {"floor": {"type": "rectangle", "to_world": transform.scale(scene["floor_half_width"])}}
+    things = {
+        "floor": {"type": "rectangle", "to_world": transform.scale(scene["floor_half_width"])}
+    }
     for k, box in enumerate(scene["boxes"]):
         to_world = transform.translate([*box["center"], box["half_sides"][2]])
         things[f"box{k}"] = {"type": "cube", "to_world": to_world.scale(box["half_sides"])}

@@ -23,6 +23,9 @@ from scipy.optimize import minimize_scalar
 from .lights import CLASSES, draw, random_lights, relative_variances, replaced
 
 
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(400)
+
+
 def slope_at_equator(scale2: float, step: float = 1e-6) -> float:
     """Slope, in T², of the logarithm of drawn over wanted density."""
     return (2 * np.log1p(step) - 1.5 * np.log1p(scale2 * step)) / step
@@ -30,9 +33,8 @@ def slope_at_equator(scale2: float, step: float = 1e-6) -> float:
 
 def slice_variance(scale2: float, half_length: float) -> float:
     """Relative variance along a slice whose latitudes have tangents up to `half_length`."""
-    nodes, weights = np.polynomial.legendre.leggauss(400)
     limit = np.arctan(half_length)
-    latitude, weights = limit * nodes, limit * weights
+    latitude, weights = limit * NODES, limit * WEIGHTS
     wanted = np.cos(latitude) ** 2
     cos2 = np.cos(latitude) ** 2
     drawn = np.sqrt(cos2) / (cos2 + scale2 * (1 - cos2)) ** 1.5
