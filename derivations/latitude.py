@@ -22,7 +22,6 @@ from scipy.optimize import minimize_scalar
 
 from .lights import CLASSES, draw, random_lights, relative_variances, replaced
 
-
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(400)
 
 
