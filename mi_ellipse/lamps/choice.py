@@ -101,8 +101,9 @@ def probability(
 
 
 def rescaled(u: mi.Float, start: mi.Float, width: mi.Float) -> mi.Float:
-    """Place of a random number between `start` and `start + width`, in [0, 1)."""
-    return dr.clip((u - start) / width, 0, LAST)
+    """Place of a random number between `start` and `start + width`, in [0, 1); 0 without width."""
+    some = width > 0
+    return dr.select(some, dr.clip((u - start) / dr.select(some, width, 1), 0, LAST), 0)
 
 
 def _shares(

@@ -199,7 +199,9 @@ class Group:
             else:
                 share, root = self.nodes.probability(self.members, it, slot)
             pdf = self._by_behaviour(density_of, slot, root, it, d)
-            return pdf * share / take(mi.Float, self.width, slot)
+            width = take(mi.Float, self.width, slot)
+            # A weight may have become 0: such a lamp is never asked, and never answers.
+            return dr.select(width > 0, pdf * share / dr.select(width > 0, width, 1), 0)
 
     def _choose(self, it: mi.Interaction3f, u: mi.Float) -> Choice:
         if self.nodes is None:

@@ -21,7 +21,8 @@ def group_lamps(scene: mi.Scene, lamps: Sequence[mi.Emitter] | None = None) -> G
     most of the noise of picking is gone, and all of Mitsuba's integrators work as before.
 
     The group follows changes of its lamps through ``mi.traverse(scene)`` and ``update()``. A
-    ``sampling_weight`` is a factor of the choice. A lamp of weight 0 stays out.
+    ``sampling_weight`` is a factor of the choice. A lamp of weight 0 stays out. A second call
+    replaces the groups of the scene: lamps that are not in the new one act alone again.
 
     Parameters
     ----------
@@ -40,7 +41,7 @@ def group_lamps(scene: mi.Scene, lamps: Sequence[mi.Emitter] | None = None) -> G
     ValueError
         If one of `lamps` is no `ellipticalarea` of the scene.
     """
-    own = [emitter for emitter in scene.emitters() if hasattr(emitter, "attachment")]
+    own = every = [emitter for emitter in scene.emitters() if hasattr(emitter, "attachment")]
     if lamps is not None:
         chosen = list(lamps)
         for lamp in chosen:
@@ -49,8 +50,9 @@ def group_lamps(scene: mi.Scene, lamps: Sequence[mi.Emitter] | None = None) -> G
                     f"group_lamps: {lamp.class_name()} is no {ELLIPTICAL_AREA} of this scene"
                 )
         own = [emitter for emitter in own if emitter in chosen]
-    for emitter in own:
+    for emitter in every:
         emitter.group = None
+    for emitter in own:
         emitter.attachment.ready(emitter.get_shape)
     weights = [float(emitter.sampling_weight()) for emitter in own]
     members = [(e, w) for e, w in zip(own, weights, strict=True) if w > 0]
