@@ -19,7 +19,6 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-
 RIM = 256  # Corners of what stands for a lamp in the way of another one's light
 BEHIND = 1e-4  # Its distance from the lamp
 
@@ -38,7 +37,9 @@ def build(description: dict) -> None:
 
     if "lamps" in description:
         for lamp in description["lamps"]:
-            add_lamp(lamp).matrix_world = Matrix(lamp["to_world"]) @ Matrix.Rotation(math.pi, 4, "X")
+            add_lamp(lamp).matrix_world = Matrix(lamp["to_world"]) @ Matrix.Rotation(
+                math.pi, 4, "X"
+            )
         add_blockers(description["lamps"])
     else:
         add_lamp(description)
@@ -71,7 +72,9 @@ def add_box(box: dict, material: bpy.types.Material) -> None:
     """Add an upright box that stands on the floor."""
     (x, y), (a, b, c) = box["center"], box["half_sides"]
     corners = [
-        (x + i * a, y + j * b, z) for z in (0, 2 * c) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        (x + i * a, y + j * b, z)
+        for z in (0, 2 * c)
+        for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))
     ]
     sides = [(k, (k + 1) % 4, (k + 1) % 4 + 4, k + 4) for k in range(4)]
     add_mesh("box", corners, [(0, 3, 2, 1), (4, 5, 6, 7), *sides], material)
