@@ -1,6 +1,6 @@
 """Noise against Blender's Cycles with its light tree, for many elliptical lamps above a floor.
 
-    python -m benchmarks.cycles_lamps --bpy-python PATH/TO/python [--seeds 64]
+    python -m benchmarks.cycles_lamps --bpy-python PATH/TO/python [--seeds 4]
 
 prints the table and writes `docs/data/cycles_lamps.json`. It takes the other interpreter, the
 samples and the estimators of `benchmarks.cycles`.
@@ -149,6 +149,29 @@ def plain_pixels(scene: mi.Scene, grid: int = 16) -> np.ndarray:
     return mask
 
 
+def exact_choice(scene: mi.Scene, lamps: list[dict], reference: np.ndarray, mask) -> float:
+    """Variance that light samples keep where choice and direction follow the irradiance exactly.
+
+    Such a sample is worth U, the light without shadows, or 0 in a shadow. Its mean is E, the
+    reference, so its variance is E (U - E). The value is relative, as in `moments`, and U is that
+    at the centre of a pixel.
+    """
+    x, y = dr.meshgrid(*[(dr.arange(mi.Float, SIZE) + 0.5) / SIZE] * 2)
+    ray, _ = scene.sensors()[0].sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
+    hit = scene.ray_intersect(ray)
+    point, normal = (np.array(v).T.reshape(SIZE, SIZE, 3)[mask] for v in (hit.p, hit.n))
+    bright = np.zeros(len(point))
+    for lamp in lamps:
+        a, b = lamp["semi_axes"]
+        to_world = np.array(lamp["to_world"]) @ np.diag([a, b, 1, 1])
+        front = (point - to_world[:3, 3]) @ to_world[:3, 2] > 0
+        irradiance = mi_ellipse.irradiance(to_world, point, normal)
+        bright += np.mean(lamp["radiance"]) * front * irradiance
+    bright *= SCENE["albedo"] / np.pi
+    seen = reference[mask].mean(axis=1)
+    return float(np.mean(seen * np.maximum(bright - seen, 0)) / seen.mean() ** 2)
+
+
 def compare(blender: Blender, scene: dict, seeds: int) -> dict:
     """All estimators of one scene."""
     best = mitsuba_scene("projected_solid_angle", ESTIMATORS["light samples"], scene)
@@ -156,8 +179,9 @@ def compare(blender: Blender, scene: dict, seeds: int) -> dict:
     mi_ellipse.group_lamps(best)
     passes, spp = range(4), REFERENCE_SPP // 4
     reference = render(best, spp, passes).mean(axis=0)
+    exact = exact_choice(best, scene["lamps"], reference, mask)
     del best
-    result = {"pixels": int(mask.sum())}
+    result = {"pixels": int(mask.sum()), "exact_choice": exact}
     for estimator, integrator in ESTIMATORS.items():
         request = {"mis": estimator == "MIS", "light_tree": True}
         pictures = blender.render(request | {"spp": spp}, passes)
@@ -215,7 +239,7 @@ def main() -> None:
     """Compare, print, and keep the figures in `docs`."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.cycles_lamps", description=__doc__)
     parser.add_argument("--bpy-python", required=True, help="interpreter that can import bpy 5.0")
-    parser.add_argument("--seeds", type=int, default=64, help="pictures at 1 spp")
+    parser.add_argument("--seeds", type=int, default=4, help="pictures at 1 spp")
     parser.add_argument("--output", type=Path, default=DOCS, help="folder, by default docs")
     arguments = parser.parse_args()
 

@@ -19,7 +19,6 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-
 RIM = 256  # Corners of what stands for a lamp in the way of another one's light
 BEHIND = 1e-4  # Its distance from the lamp
 
