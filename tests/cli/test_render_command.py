@@ -235,7 +235,7 @@ def test_sampling_without_a_lamp(scene_file):
     ("lamps", "words"),
     [
         (LAMP.replace("$sampling", "nonsense"), ["scene.xml (line", "nonsense", *STRATEGIES]),
-        (LAMP.replace('"disk"', '"sphere"'), ["ellipticalarea", "Sphere"]),
+        (LAMP.replace('"disk"', '"rectangle"'), ["ellipticalarea", "Rectangle"]),
     ],
 )
 def test_error_inside_a_plugin_shows_its_cause(scene_file, lamps, words):
