@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -49,51 +46,6 @@ def take(dtype: type, source: Any, index: Any) -> Any:
     return dr.gather(dtype, source, index) if dr.is_jit_v(mi.Float) else source[index]
 
 
-def instance_number(own: int) -> mi.UInt32 | None:
-    """Variable for the registry number of the instance whose method is being traced.
-
-    Dr.Jit traces a method of an emitter for each living emitter. It keeps a variable that is the
-    same in all these traces and stands for the instance that is called. ``mi.EmitterPtr(self)``
-    gives a constant of one instance instead, which the trace of another one cannot use.
-
-    Dr.Jit's C++ code reads the variable through ``jit_var_self(JitBackend, uint32_t*, uint32_t*)``.
-    Python has no function for it. So this calls the function of the core library, under the name
-    that C++ compilers on Linux and macOS give to it.
-
-    Parameters
-    ----------
-    own
-        Registry number of the instance that asks.
-
-    Returns
-    -------
-    mi.UInt32 or None
-        None if no call of this instance is being traced, or if the core library has no such
-        function.
-    """
-    function = _jit_var_self()
-    if function is None or not dr.is_jit_v(mi.Float):
-        return None
-    value, index = ctypes.c_uint32(), ctypes.c_uint32()
-    function(int(dr.backend_v(mi.Float).value), ctypes.byref(value), ctypes.byref(index))
-    if value.value != own or not index.value:
-        return None
-    return dr.detail.update_indices(mi.UInt32(0), [index.value])
-
-
 def registry_number(emitter: mi.Emitter) -> int:
     """Number of an emitter in Dr.Jit's registry."""
     return dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(emitter))[0]
-
-
-@cache
-def _jit_var_self() -> Callable | None:
-    for name in ("libdrjit-core.so", "libdrjit-core.dylib"):
-        library = Path(dr.__file__).with_name(name)
-        if library.is_file():
-            function = getattr(ctypes.CDLL(str(library)), "_Z12jit_var_self10JitBackendPjS0_", None)
-            if function is not None:
-                pointer = ctypes.POINTER(ctypes.c_uint32)
-                function.argtypes, function.restype = [ctypes.c_int, pointer, pointer], None
-            return function
-    return None

@@ -14,7 +14,7 @@ import numpy as np
 from ..geometry.ellipse import StoredEllipse
 from ..geometry.ellipsoid import StoredEllipsoid
 from ..geometry.light import StoredLight, field_values
-from ..geometry.tracing import branch, instance_number, take
+from ..geometry.tracing import branch, take
 from ..sampling.strategy import Strategy
 from . import choice, tree
 from .choice import Choice, Members
@@ -38,7 +38,7 @@ class Group:
     direction has it with the weight of the lamp that it meets. Mitsuba's product is the same in
     both, and the estimate is unbiased.
 
-    All members run the same code over gathered numbers. Dr.Jit traces it once for the group.
+    All members run the same code over gathered numbers.
 
     The fields are what `dr.freeze` has to find.
 
@@ -62,7 +62,7 @@ class Group:
     radiance: mi.UnpolarizedSpectrum = field(init=False)
     behaviour: mi.UInt32 = field(init=False)  # Place in the list of the group's behaviours
     emitter: mi.UInt32 = field(init=False)
-    slot: mi.UInt32 = field(init=False)  # By registry number
+    slot: mi.UInt32 = field(init=False)  # Of a member, by its rank among the lamps
     start: mi.Float = field(init=False)  # Sum of the weights of the lamps before, of a sum of 1
     width: mi.Float = field(init=False)  # Weight, of a sum of 1
 
@@ -70,7 +70,6 @@ class Group:
         self, lamps: Sequence[Lamp], weights: Sequence[float], emitters: Sequence[Any]
     ) -> None:
         self._lamps = list(lamps)
-        self._draw_once, self._density_once = _Once(len(lamps)), _Once(len(lamps))
         self._rows = [_Row.of(lamp) for lamp in lamps]
         self._weights = np.array(weights, dtype=float)
         self._emitters = list(emitters)
@@ -129,38 +128,22 @@ class Group:
         """Emitter of a slot, and slot of an emitter."""
         place = np.empty(len(self._lamps), dtype=np.uint32)
         place[slots[slots >= 0]] = np.flatnonzero(slots >= 0)
-        self._slots = place
-        if _scalar():
-            self.emitter, self.slot = [self._emitters[k] for k in rows], []
-            return
-        numbers = np.array(self._emitters, dtype=np.uint32)
-        by_number = np.zeros(numbers.max() + 1, dtype=np.uint32)
-        by_number[numbers] = place
-        self.emitter = mi.UInt32(numbers[rows])
-        self.slot = mi.UInt32(by_number)
+        self.slot = _array(mi.UInt32, place)
+        self.emitter = [self._emitters[k] for k in rows]
+        if not _scalar():
+            self.emitter = mi.UInt32(np.array(self.emitter, dtype=np.uint32))
 
     # ---- Directions ----
 
     def sample_direction(
-        self, lamp: Lamp, it: mi.Interaction3f, u: mi.Point2f, active: mi.Mask
-    ) -> tuple[mi.DirectionSample3f, mi.UnpolarizedSpectrum]:
-        """Answer of a member that is asked for a light sample, of any member."""
-        inputs = type(it)(it), mi.Point2f(u), active
-        shared = self._instance_number(lamp) is not None
-        return self._draw_once(shared, inputs, partial(self._sample_direction, lamp, *inputs))
+        self, rank: mi.UInt32, it: mi.Interaction3f, u: mi.Point2f, active: mi.Mask
+    ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
+        """Answer of the member of this rank, which is asked for a light sample, of any member.
 
-    def pdf_direction(
-        self, lamp: Lamp, it: mi.Interaction3f, d: mi.Vector3f, active: mi.Mask
-    ) -> mi.Float:
-        """Density of a direction that meets a member."""
-        inputs = type(it)(it), mi.Vector3f(d), active
-        shared = self._instance_number(lamp) is not None
-        return self._density_once(shared, inputs, partial(self._pdf_direction, lamp, *inputs))
-
-    def _sample_direction(self, lamp, it, u, active):
-        asked = self._slot_of(lamp)
-        draw = partial(self._draw, it, asked)
-        *drawn, slot = branch(u, True, draw, _draw_nothing)
+        The rank is a variable and no constant, so that all members have the same code.
+        """
+        it, asked = type(it)(it), take(mi.UInt32, self.slot, rank)
+        *drawn, slot = branch(u, True, partial(self._draw, it, asked), _draw_nothing)
         ds = mi.DirectionSample3f()
         ds.p, ds.n, ds.uv, ds.d, ds.dist, pdf = drawn
         ds.pdf = dr.select(active, pdf, 0)
@@ -188,8 +171,12 @@ class Group:
             *drawn, pdf = self._by_behaviour(draw_from, chosen.slot, chosen.root, it, u)
             return *drawn, pdf * (chosen.probability / width), chosen.slot
 
-    def _pdf_direction(self, lamp, it, d, active):
-        return branch(d, active, partial(self._density, it, self._slot_of(lamp)), _no_density)
+    def pdf_direction(
+        self, rank: mi.UInt32, it: mi.Interaction3f, d: mi.Vector3f, active: mi.Mask
+    ) -> mi.Float:
+        """Density of a direction that meets the member of this rank."""
+        slot = take(mi.UInt32, self.slot, rank)
+        return branch(d, active, partial(self._density, type(it)(it), slot), _no_density)
 
     def _density(self, it, slot, d):
         with dr.suspend_grad(), _without_lookup():
@@ -225,47 +212,6 @@ class Group:
 
     def _place_of(self, lamp: Lamp) -> int:
         return next(k for k, member in enumerate(self._lamps) if member is lamp)
-
-    def _instance_number(self, lamp: Lamp) -> mi.UInt32 | None:
-        return None if _scalar() else instance_number(self._emitters[self._place_of(lamp)])
-
-    def _slot_of(self, lamp: Lamp) -> mi.UInt32:
-        """Slot of the member whose method is called."""
-        number = self._instance_number(lamp)
-        if number is not None:
-            return dr.gather(mi.UInt32, self.slot, number)
-        return mi.UInt32(int(self._slots[self._place_of(lamp)]))
-
-
-class _Once:
-    """Trace of the code that all members share.
-
-    Dr.Jit hands the same variables to the trace of each member. The first trace keeps its result,
-    and the others return it. The last one lets it go, since nothing of a trace may outlive it.
-    """
-
-    def __init__(self, members: int):
-        self.members = members
-        self._forget()
-
-    def __call__(self, shared: bool, inputs: tuple, compute: Callable[[], Any]) -> Any:
-        """Result of `compute`, whose inputs Dr.Jit shares among the members' traces if `shared`."""
-        if not shared or dr.grad_enabled(inputs):
-            return compute()
-        key = tuple(dr.detail.collect_indices(inputs))
-        if self._key != key:
-            self._forget()
-            # The inputs too: as long as they live, no other variables have their numbers.
-            self._key, self._inputs, self._result = key, inputs, compute()
-        self._served += 1
-        result = self._result
-        if self._served == self.members:
-            self._forget()
-        return result
-
-    def _forget(self) -> None:
-        self._key = self._inputs = self._result = None
-        self._served = 0
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ class EllipticalArea:
         self.lamp = Lamp(*_parameters(props))
         self.attachment = Attachment(self.lamp)
         self.group: Group | None = None  # See `grouping`
+        self.rank: mi.UInt32 | None = None  # In the group
         self._follow_radiance()
 
     # ---- Parameters ----
@@ -72,7 +73,7 @@ class EllipticalArea:
         if not self._attached():
             return dr.zeros(mi.DirectionSample3f), dr.zeros(mi.Spectrum)
         if self.group is not None:
-            return self.group.sample_direction(self.lamp, it, sample, active)
+            return self.group.sample_direction(self.rank, it, sample, active)
         drawn = self.lamp.draw(it, sample)
         ds.p, ds.n, ds.uv = drawn.p, drawn.n, drawn.uv
         ds.d, ds.dist, ds.time = drawn.d, drawn.distance, it.time
@@ -85,7 +86,7 @@ class EllipticalArea:
         if not self._attached():
             return mi.Float(0)
         if self.group is not None:
-            return self.group.pdf_direction(self.lamp, it, ds.d, active)
+            return self.group.pdf_direction(self.rank, it, ds.d, active)
         return self.lamp.density(it, ds.d, active)
 
     def eval_direction(self, it, ds, active=True):

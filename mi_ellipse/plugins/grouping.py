@@ -60,8 +60,9 @@ def group_lamps(scene: mi.Scene, lamps: Sequence[mi.Emitter] | None = None) -> G
         return None
     emitters = [emitter for emitter, _ in members]
     group = Group([e.lamp for e in emitters], [w for _, w in members], _identities(emitters))
-    for emitter in emitters:
+    for rank, emitter in enumerate(emitters):
         emitter.group = group
+        emitter.rank = dr.opaque(mi.UInt32, rank) if dr.is_jit_v(mi.Float) else rank
     return group
 
 
