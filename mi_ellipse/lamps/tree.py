@@ -8,6 +8,7 @@ cosines over the node's sphere.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -169,13 +170,20 @@ def build(lights: Lights, slots: np.ndarray) -> Tree:
     nodes = [np.concatenate(parts) for parts in zip(*reversed(levels), strict=True)]
     middle, radius2, axis, cos_spread, total = nodes
     return Tree(
-        centre=mi.Point3f(np.float32(middle.T)),
-        radius2=mi.Float(np.float32(radius2)),
-        axis=mi.Vector3f(np.float32(axis.T)),
-        cos_spread=mi.Float(np.float32(cos_spread)),
-        power=mi.Float(np.float32(total)),
+        centre=_array(mi.Point3f, middle),
+        radius2=_array(mi.Float, radius2),
+        axis=_array(mi.Vector3f, axis),
+        cos_spread=_array(mi.Float, cos_spread),
+        power=_array(mi.Float, total),
         depth=len(levels),
     )
+
+
+def _array(dtype: type, rows: np.ndarray) -> Any:
+    """Dr.Jit array of a row a node, or a list in scalar variants."""
+    if dr.is_jit_v(mi.Float):
+        return dtype(np.ascontiguousarray(np.float32(rows).T))
+    return [dtype(row.tolist()) for row in rows]
 
 
 def _level(width, there, power, centre, normal, radius, all_around) -> tuple[np.ndarray, ...]:

@@ -1,0 +1,453 @@
+"""Lamps of a scene that choose among themselves, against the same lamps that do not."""
+
+import contextlib
+import gc
+import weakref
+
+import drjit as dr
+import mi_ellipse
+import mitsuba as mi
+import numpy as np
+import pytest
+from conftest import floor_and, lamp
+
+from oracles.ellipse import rotation, translation
+from oracles.pictures import assert_same_expectation, render
+
+DOWN = rotation([1, 0, 0], 180)
+LEFT = translation(-0.9, 0, 0.7) @ rotation([0, 1, 0], 20) @ DOWN @ np.diag([0.7, 0.3, 1, 1])
+RIGHT = translation(0.9, 0.3, 0.9) @ rotation([1, 1, 0], -30) @ DOWN @ np.diag([0.3, 0.5, 1, 1])
+RED, BLUE = ({"type": "rgb", "value": value} for value in ([3, 1, 0.5], [0.5, 1, 2]))
+
+jit = pytest.mark.usefixtures("llvm_ad_rgb")
+
+
+# ---- Scenes ----
+
+
+def two(first="solid_angle", second="solid_angle", **options):
+    return {"left": lamp(LEFT, first, RED, **options), "right": lamp(RIGHT, second, BLUE)}
+
+
+def ring(count=12, sampling="solid_angle"):
+    """Tilted lamps around the floor: a tree."""
+    return {
+        f"lamp{k}": lamp(
+            rotation([0, 0, 1], 360 * k / count + 5)
+            @ translation(1.3, 0, 0.5 + 0.05 * k)
+            @ rotation([0, 1, 0], -40 + 7 * k)
+            @ DOWN
+            @ np.diag([0.25, 0.12, 1, 1]),
+            sampling,
+            {"type": "rgb", "value": [1 + 0.3 * k, 2, 3 - 0.2 * k]},
+        )
+        for k in range(count)
+    }
+
+
+def weighted():
+    lamps = two()
+    lamps["left"]["emitter"]["sampling_weight"] = 3.0
+    return lamps
+
+
+def textured():
+    values = np.random.default_rng(2).random((4, 3, 3)).astype(np.float32)
+    lamps = two()
+    bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(values), "raw": True}
+    lamps["left"]["emitter"]["radiance"] = bitmap
+    return lamps
+
+
+def solids():
+    """Ellipses, a sphere and an ellipsoid."""
+    half = mi.ScalarTransform4f()
+    own = {"type": "ellipticalarea", "sampling": "projected_solid_angle", "radiance": RED}
+    matrix = half.translate([-0.5, 0.9, 0.5]).scale([0.3, 0.2, 0.1])
+    return two() | {
+        "ball": {"type": "sphere", "center": [0.2, -0.9, 0.4], "radius": 0.2, "emitter": own},
+        "egg": {"type": "ellipsoid", "to_world": matrix, "emitter": own},
+    }
+
+
+def others():
+    """A sky, a point light and a mesh light beside the lamps."""
+    square = mi.ScalarTransform4f().translate([0, 1.2, 1]).rotate([1, 0, 0], 150).scale(0.3)
+    return two() | {
+        "sky": {"type": "constant", "radiance": {"type": "rgb", "value": 0.2}},
+        "point": {"type": "point", "position": [0.3, -0.8, 1], "intensity": RED},
+        "mesh": {"type": "cube", "to_world": square, "emitter": {"type": "area", "radiance": BLUE}},
+    }
+
+
+def facing_away():
+    return two(flip_normals=True) | {"third": lamp(translation(0, -0.8, 0.8) @ DOWN, "solid_angle")}
+
+
+def fog():
+    box = {
+        "type": "cube",
+        "to_world": mi.ScalarTransform4f().scale(2.9),
+        "bsdf": {"type": "null"},
+        "interior": {"type": "homogeneous", "albedo": 0.8, "sigma_t": 0.3},
+    }
+    return two() | {"box": box}
+
+
+def flipped_floor():
+    """The floor is seen from the far side of its normal."""
+    both = {"type": "twosided", "bsdf": {"type": "diffuse"}}
+    turned = mi.ScalarTransform4f().rotate([1, 0, 0], 180).scale(3)
+    return two() | {"floor": {"type": "rectangle", "to_world": turned, "bsdf": both}}
+
+
+def load(lamps, grouped, size=8, **options):
+    scene = mi.load_dict(floor_and(lamps, size, **options))
+    if grouped:
+        assert mi_ellipse.group_lamps(scene) is not None
+    return scene
+
+
+def picture(scene, **options):
+    return np.array(mi.render(scene, **({"spp": 16, "seed": 3} | options)))
+
+
+# ---- Pictures ----
+
+PATH = {"type": "path", "max_depth": 3}
+LIGHT_ONLY = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}
+
+# Of what, variant, integrator
+CASES = {
+    "two": (two, "llvm_ad_rgb", PATH),
+    "light samples": (two, "llvm_ad_rgb", LIGHT_ONLY),
+    "tree": (ring, "llvm_ad_rgb", LIGHT_ONLY),
+    "tree with MIS": (lambda: ring(9, "projected_solid_angle"), "llvm_ad_rgb", PATH),
+    "strategies": (lambda: two("projected_solid_angle", "area"), "llvm_ad_rgb", {"type": "direct"}),
+    "textured": (textured, "llvm_ad_rgb", {"type": "prb", "max_depth": 3}),
+    "solids": (solids, "llvm_ad_rgb", LIGHT_ONLY),
+    "other emitters": (others, "llvm_ad_rgb", PATH),
+    "weights": (weighted, "llvm_ad_rgb", LIGHT_ONLY),
+    "weights with MIS": (weighted, "llvm_ad_rgb", PATH),
+    "facing away": (facing_away, "llvm_ad_rgb", LIGHT_ONLY),
+    "flipped floor": (flipped_floor, "llvm_ad_rgb", LIGHT_ONLY),
+    "fog": (fog, "llvm_ad_rgb", {"type": "volpath", "max_depth": 4}),
+    "fog with spectral MIS": (fog, "llvm_ad_rgb", {"type": "volpathmis", "max_depth": 4}),
+    "spectral": (two, "llvm_ad_spectral", PATH),
+    "polarized": (two, "llvm_ad_mono_polarized", PATH),
+}
+
+
+@pytest.mark.parametrize("case", CASES, ids=[name.replace(" ", "-") for name in CASES])
+def test_same_picture_as_ungrouped(case):
+    """Welch's test of each block, 1e-5 a case."""
+    lamps, variant, integrator = CASES[case]
+    mi.set_variant(variant)
+    got, expected = (
+        render(load(lamps(), grouped, integrator=integrator), 1024) for grouped in (True, False)
+    )
+    # A lamp that answers without its part of the weights is off by a tenth at least. Fog and
+    # wavelengths are noisier.
+    noisy = "fog" in case or case in ("spectral", "polarized")
+    assert_same_expectation(got, expected, within=0.3 if noisy else 0.07)
+
+
+@jit
+def test_noise_of_picking_a_lamp_is_gone():
+    """Most of the variance, with light samples alone."""
+    variances = []
+    for grouped in (True, False):
+        scene = load(two(), grouped, integrator=LIGHT_ONLY)
+        variances.append(render(scene, 16, 16).var(0).mean())
+    assert variances[0] < variances[1] / 3
+
+
+@jit
+@pytest.mark.parametrize("lamps", [two, ring])
+def test_evaluated_calls_give_the_same_picture(lamps):
+    """With the same random numbers."""
+    scene = load(lamps(), True)
+    symbolic = picture(scene)
+    flags = dr.JitFlag.SymbolicCalls, dr.JitFlag.SymbolicLoops, dr.JitFlag.SymbolicConditionals
+    for count in (1, 3):
+        with contextlib.ExitStack() as stack:
+            for flag in flags[:count]:
+                stack.enter_context(dr.scoped_set_flag(flag, False))
+            # Other kernels round differently.
+            np.testing.assert_allclose(picture(scene), symbolic, rtol=2e-3)
+
+
+# ---- Draws ----
+
+
+def places(count=4096):
+    """Points on the floor and above it."""
+    rng = np.random.default_rng(1)
+    it = dr.zeros(mi.SurfaceInteraction3f, count)
+    it.p = mi.Point3f(*np.float32(rng.uniform([-2, -2, 0], [2, 2, 0.3], (count, 3))).T)
+    it.n = mi.Normal3f(0, 0, 1)
+    return it, mi.Point2f(rng.random((2, count), dtype=np.float32))
+
+
+@jit
+@pytest.mark.parametrize("lamps", [two, weighted, ring, solids])
+def test_density_of_the_scene_is_that_of_its_draw(lamps):
+    scene = load(lamps(), True)
+    it, u = places()
+    ds, _ = scene.sample_emitter_direction(it, u, test_visibility=False)
+    again = scene.pdf_emitter_direction(it, ds)
+    drawn = ds.pdf.numpy() > 0
+    assert drawn.mean() > 0.5
+    # Single precision; near the horizon of the surface and at the rims it loses digits.
+    error = np.abs(again.numpy()[drawn] / ds.pdf.numpy()[drawn] - 1)
+    assert np.quantile(error, 0.99) < 1e-4
+    assert error.max() < 0.05
+
+
+@jit
+@pytest.mark.parametrize("lamps", [weighted, ring])
+def test_lamp_that_is_asked_directly(lamps):
+    """Without a call around it, as with one: same draws, weights and densities."""
+    scene = load(lamps(), True)
+    it, u = places(256)
+    for emitter in scene.emitters()[:2]:
+        alone, weight = emitter.sample_direction(it, u)
+        called, expected = mi.EmitterPtr(emitter).sample_direction(it, u)
+        np.testing.assert_allclose(weight.numpy(), expected.numpy(), rtol=1e-4)
+        np.testing.assert_allclose(alone.pdf.numpy(), called.pdf.numpy(), rtol=1e-4)
+        assert dr.all((alone.emitter == called.emitter) | (alone.pdf == 0))
+        got, called = (
+            e.pdf_direction(it, alone).numpy() for e in (emitter, mi.EmitterPtr(emitter))
+        )
+        np.testing.assert_allclose(got, called, rtol=1e-4)
+
+
+# ---- Parameters ----
+
+
+def changed(scene, **values):
+    params = mi.traverse(scene)
+    for name, value in values.items():
+        params[name.replace("__", ".")] = value
+    params.update()
+    return scene
+
+
+def assert_same_picture(got, expected):
+    """Same seed, same numbers: equal up to the rounding of a transform."""
+    assert expected.max() > 0
+    np.testing.assert_allclose(got, expected, rtol=1e-3, atol=1e-5)
+
+
+@jit
+@pytest.mark.parametrize("lamps", [two, lambda: two() | ring(10)], ids=["two", "tree"])
+def test_updates_are_those_of_a_new_scene(lamps):
+    moved = translation(0.3, 0.2, 0.4) @ LEFT
+    scene = load(lamps(), True)
+    before = picture(scene)
+    expected = lamps()
+    expected["left"] = lamp(moved, "solid_angle", RED)
+    changed(scene, left__to_world=mi.AffineTransform4f(moved))
+    assert_same_picture(picture(scene), picture(load(expected, True)))
+
+    bright = {"type": "rgb", "value": [0.5, 8.0, 4.0]}
+    expected["right"]["emitter"]["radiance"] = bright
+    changed(scene, right__emitter__radiance__value=mi.Color3f(0.5, 8, 4))
+    assert_same_picture(picture(scene), picture(load(expected, True)))
+
+    expected["right"]["emitter"]["sampling_weight"] = 3.0
+    changed(scene, right__emitter__sampling_weight=3.0)
+    after = picture(scene)
+    assert_same_picture(after, picture(load(expected, True)))
+    assert np.abs(after - before).max() > 0.05
+
+
+@jit
+def test_all_lamps_without_radiance():
+    scene = load(two(), True)
+    changed(scene, left__emitter__radiance__value=0.0, right__emitter__radiance__value=0.0)
+    assert not picture(scene).any()
+    it, u = places(64)
+    for emitter in scene.emitters():
+        ds, weight = emitter.sample_direction(it, u)
+        for values in (ds.d, ds.p, ds.dist, ds.pdf, weight, emitter.pdf_direction(it, ds)):
+            assert np.isfinite(values.numpy()).all()
+
+
+@jit
+def test_updates_under_freeze():
+    @dr.freeze
+    def frozen(scene):
+        return mi.render(scene, spp=16, seed=3)
+
+    scene = load(two(), True)
+    for k in range(4):
+        matrix = translation(0.1 * k, 0, 0.1 * k) @ LEFT
+        changed(
+            scene,
+            left__to_world=mi.AffineTransform4f(matrix),
+            right__emitter__radiance__value=mi.Color3f(1 + k, 2, 3),
+        )
+        got = np.array(frozen(scene))
+        expected = two()
+        expected["left"] = lamp(matrix, "solid_angle", RED)
+        radiance = {"type": "rgb", "value": [1.0 + k, 2.0, 3.0]}
+        expected["right"]["emitter"]["radiance"] = radiance
+        assert_same_picture(got, picture(load(expected, True)))
+
+
+# ---- Scenes side by side, and what is left of them ----
+
+
+@jit
+def test_two_scenes_in_turns():
+    scenes = load(two(), True), load(ring(), True), load(two("area", "area"), False)
+    first = [picture(scene) for scene in scenes]
+    again = [picture(scene) for scene in reversed(scenes)]
+    for a, b in zip(first, reversed(again), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-4)
+    alone = []
+    del scenes
+    for lamps, grouped in ((two(), True), (ring(), True), (two("area", "area"), False)):
+        gc.collect()
+        alone.append(picture(load(lamps, grouped)))
+    for a, b in zip(first, alone, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-3)
+
+
+def kernels_of(scene):
+    """Operations and callables of the kernels that render a scene."""
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        picture(scene, spp=1)
+        kernels = dr.kernel_history([dr.KernelType.JIT])
+    return (
+        sum(kernel["operation_count"] for kernel in kernels),
+        sum(kernel["ir"].getvalue().count("define ") for kernel in kernels),
+    )
+
+
+@jit
+def test_grouped_lamps_die_with_their_scene():
+    native = mi.load_dict(floor_and({"lamp": lamp(LEFT)}, 8))
+    gc.collect()
+    before = kernels_of(native)
+    scene = load(two(), True)
+    picture(scene)
+    picture(changed(scene, left__to_world=mi.AffineTransform4f(translation(0, 0, 0.2) @ LEFT)))
+    assert kernels_of(native) != before  # The lamps are in there while they live
+    alive = [weakref.ref(emitter) for emitter in scene.emitters()]
+    alive.append(weakref.ref(scene.emitters()[0].group))
+    assert all(reference() is not None for reference in alive)
+    del scene
+    gc.collect()
+    assert not any(reference() is not None for reference in alive)
+    assert kernels_of(native) == before
+
+
+@jit
+def test_kernels_do_not_grow_with_the_number_of_lamps():
+    def kernels(count):
+        scene = load(ring(count), True)
+        result = kernels_of(scene)
+        del scene
+        gc.collect()
+        return result
+
+    operations, callables = kernels(9)
+    # As many levels of the tree
+    more_operations, more_callables = kernels(16)
+    assert more_operations <= operations + 5
+    assert more_callables <= callables
+    # A level more is a step of the descent, in the draw and in the density: below half of it all.
+    more_operations, more_callables = kernels(64)
+    assert more_operations < 1.5 * operations
+    assert more_callables <= callables
+
+
+# ---- Gradients ----
+
+
+def gradients(lamps, grouped, seed):
+    """Of the sum of the picture with respect to each radiance."""
+    scene = load(lamps, grouped, integrator={"type": "prb", "max_depth": 3})
+    params = mi.traverse(scene)
+    keys = [key for key in params.keys() if key.endswith("radiance.value")]  # noqa: SIM118
+    for key in keys:
+        dr.enable_grad(params[key])
+    params.update()
+    dr.backward(dr.sum(mi.render(scene, params, spp=256, seed=seed).array))
+    return np.array([np.array(dr.grad(params[key])).ravel() for key in keys])
+
+
+@jit
+def test_gradients_of_the_radiances():
+    """Student's t with 10 degrees of freedom, six numbers: 10 is passed once in 100 000."""
+    got, expected = (
+        np.array([gradients(two(), grouped, seed) for seed in range(6)])
+        for grouped in (True, False)
+    )
+    error = np.sqrt((got.var(0, ddof=1) + expected.var(0, ddof=1)) / 6)
+    assert (error < 0.02 * expected.mean(0)).all()
+    assert (np.abs(got.mean(0) - expected.mean(0)) < 10 * error + 1e-4 * expected.mean(0)).all()
+
+
+# ---- Which lamps ----
+
+
+@jit
+def test_second_call_replaces_the_first_group():
+    scene = load(ring(4), True, integrator=LIGHT_ONLY)
+    emitters = scene.emitters()
+    first = emitters[0].group
+    second = mi_ellipse.group_lamps(scene, emitters[1:3])
+    assert second is not first
+    assert [e.group for e in emitters] == [None, second, second, None]
+    ungrouped = load(ring(4), False, integrator=LIGHT_ONLY)
+    assert_same_expectation(render(scene, 2048), render(ungrouped, 2048), within=0.07)
+    assert mi_ellipse.group_lamps(scene, emitters[:1]) is None
+    assert [e.group for e in emitters] == [None] * 4
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_rgb", "scalar_rgb"], indirect=True)
+def test_foreign_emitters_are_refused(variant):
+    scene = mi.load_dict(floor_and(others(), 4))
+    other = mi.load_dict(floor_and(two(), 4))
+    group = mi_ellipse.group_lamps(scene)
+    point = next(e for e in scene.emitters() if "Point" in e.class_name())
+    own = [e for e in scene.emitters() if getattr(e, "group", None) is not None]
+    for foreign in (point, other.emitters()[0]):
+        with pytest.raises(ValueError, match=f"{foreign.class_name()}.*ellipticalarea"):
+            mi_ellipse.group_lamps(scene, [*own, foreign])
+        assert all(e.group is group for e in own)
+
+
+@jit
+def test_fewer_than_two_lamps():
+    lamps = two()
+    lamps["left"]["emitter"]["sampling_weight"] = 0.0
+    scene = mi.load_dict(floor_and(lamps, 4))
+    assert mi_ellipse.group_lamps(scene) is None
+    assert mi_ellipse.group_lamps(scene, []) is None
+    assert mi_ellipse.group_lamps(mi.load_dict(floor_and({}, 4))) is None
+    assert mi_ellipse.group_lamps(mi.load_dict(floor_and({"lamp": lamp(LEFT)}, 4))) is None
+
+
+@pytest.mark.parametrize(
+    "radiance",
+    [{"type": "blackbody", "temperature": 4000.0}, {"type": "d65", "scale": 2.0}, "spectrum"],
+    ids=["blackbody", "d65", "spectrum"],
+)
+@pytest.mark.parametrize("variant", ["llvm_ad_rgb", "llvm_ad_spectral"], indirect=True)
+def test_radiances_of_any_plugin(variant, radiance):
+    if radiance == "spectrum":
+        radiance = {"type": "spectrum", "value": [(400.0, 1.0), (500.0, 3.0), (700.0, 2.0)]}
+    lamps = two()
+    lamps["left"]["emitter"]["radiance"] = radiance
+    try:
+        expected = picture(load(lamps, False, 4), spp=4096)
+    except RuntimeError as error:
+        pytest.skip(f"Mitsuba has no such radiance in {variant}: {error}")
+    got = picture(load(lamps, True, 4), spp=4096)
+    # 65 000 paths; a lamp without its part of the choice is off by far more.
+    np.testing.assert_allclose(got.mean((0, 1)), expected.mean((0, 1)), rtol=0.05)
