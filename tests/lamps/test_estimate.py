@@ -1,0 +1,69 @@
+"""The estimate of a lamp's irradiance, against a quadrature over the lamp's directions."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from mi_ellipse.geometry import ellipse
+from mi_ellipse.lamps import estimate
+
+pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
+
+NODES = 200  # along each axis of the disk
+
+
+def sides(half_axes, centre, normal):
+    """Irradiance over π on both sides of a surface at the origin, by the midpoint rule.
+
+    The light lies across the z axis at `centre` and shines downwards.
+    """
+    radius = np.sqrt((np.arange(NODES) + 0.5) / NODES)
+    angle = 2 * np.pi * (np.arange(NODES) + 0.5) / NODES
+    x = half_axes[0] * np.outer(radius, np.cos(angle)).ravel() + centre[0]
+    y = half_axes[1] * np.outer(radius, np.sin(angle)).ravel() + centre[1]
+    distance2 = x * x + y * y + centre[2] ** 2
+    cosine = (normal[0] * x + normal[1] * y + normal[2] * centre[2]) / np.sqrt(distance2)
+    weight = half_axes[0] * half_axes[1] * centre[2] / distance2**1.5
+    return np.mean(np.maximum(cosine, 0) * weight), np.mean(np.maximum(-cosine, 0) * weight)
+
+
+def ratios(half_angles, shortest, seed=3):
+    """Estimate over truth for random lights and normals: with the horizon through them or not."""
+    rng = np.random.default_rng(seed)
+    divided, whole = [], []
+    for _ in range(400):
+        longest = np.tan(rng.uniform(*half_angles))
+        axes = longest, longest * rng.uniform(*shortest)
+        centre = np.array([*rng.normal(size=2) * 0.5, 1.0])
+        normal = rng.normal(size=3)
+        normal /= np.linalg.norm(normal)
+        near, far = sides(axes, centre, normal)
+        transform = mi.ScalarTransform4f().translate(centre).rotate([1, 0, 0], 180)
+        light = ellipse.from_transform(transform.scale([*axes, 1]))
+        view = light.seen_from(mi.Point3f(0))
+        guess = np.array(estimate.irradiance(view, mi.Normal3f(normal))).item()
+        truth = near + estimate.FAR_SIDE * far
+        (divided if min(near, far) > 0 else whole).append(guess / truth)
+    return np.array(divided), np.array(whole)
+
+
+# Bounds: twice the root mean squares that the docstring states, for the few lights here.
+@pytest.mark.parametrize(
+    ("half_angles", "shortest", "spread"),
+    [((0.01, 0.2), (0.3, 1), 0.02), ((0.2, 1.2), (0.3, 1), 0.15), ((1.2, 1.5), (0.3, 1), 0.25)],
+    ids=["small", "middle", "large"],
+)
+def test_estimate_where_the_horizon_divides_the_light(half_angles, shortest, spread):
+    divided, whole = ratios(half_angles, shortest)
+    assert len(divided) > 10
+    assert np.sqrt(np.mean((divided - 1) ** 2)) < spread
+    # The rule of the truth has an error of up to 1e-3 for lights that are 10 times their distance.
+    if len(whole):
+        np.testing.assert_allclose(whole, 1, atol=2e-3)
+
+
+def test_light_that_nearly_fills_the_view_is_not_overrated():
+    transform = mi.ScalarTransform4f().translate([0, 0, 1e-3]).rotate([1, 0, 0], 180)
+    view = ellipse.from_transform(transform).seen_from(mi.Point3f(0))
+    guess = np.array(estimate.irradiance(view, mi.Normal3f(1, 0, 0))).item()
+    # Half of the hemisphere on each side: π/2 over π, up to the gap of a thousandth
+    assert guess == pytest.approx(0.5 * (1 + estimate.FAR_SIDE), rel=0.01)
