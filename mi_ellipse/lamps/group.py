@@ -40,8 +40,6 @@ class Group:
 
     All members run the same code over gathered numbers.
 
-    The fields are what `dr.freeze` has to find.
-
     Parameters
     ----------
     lamps
@@ -141,7 +139,17 @@ class Group:
         """Answer of the member of this rank, which is asked for a light sample, of any member.
 
         The rank is a variable and no constant, so that all members have the same code.
+
+        Raises
+        ------
+        RuntimeError
+            While `dr.freeze` records: replays with changed lamps have ended in a crash.
         """
+        if not _scalar() and dr.flag(dr.JitFlag.FreezingScope):
+            raise RuntimeError(
+                "group_lamps: dr.freeze cannot record grouped lamps; render this scene without it, "
+                "or leave the lamps ungrouped"
+            )
         it, asked = type(it)(it), take(mi.UInt32, self.slot, rank)
         *drawn, slot = branch(u, True, partial(self._draw, it, asked), _draw_nothing)
         ds = mi.DirectionSample3f()
