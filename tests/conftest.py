@@ -1,5 +1,6 @@
 """Variants, and the scenes and lights that many tests use."""
 
+import drjit as dr
 import mi_ellipse  # noqa: F401
 import mitsuba as mi
 import numpy as np
@@ -115,3 +116,15 @@ def ellipsoids(linear, centre):
     matrix = np.zeros((len(linear), 4, 4))
     matrix[:, :3, :3], matrix[:, :3, 3], matrix[:, 3, 3] = linear, centre, 1
     return ellipsoid.from_transform(mi.Matrix4d(np.moveaxis(matrix, 0, -1)))
+
+
+def kernels_of(scene):
+    """Operations and callables of the kernels that render a scene."""
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        np.array(mi.render(scene, spp=1, seed=3))
+        kernels = dr.kernel_history([dr.KernelType.JIT])
+    return (
+        sum(kernel["operation_count"] for kernel in kernels),
+        sum(kernel["ir"].getvalue().count("define ") for kernel in kernels),
+    )

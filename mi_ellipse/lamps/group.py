@@ -14,7 +14,7 @@ import numpy as np
 from ..geometry.ellipse import StoredEllipse
 from ..geometry.ellipsoid import StoredEllipsoid
 from ..geometry.light import StoredLight, field_values
-from ..geometry.tracing import branch, take
+from ..geometry.tracing import branch, lookup, take
 from ..sampling.strategy import Strategy
 from . import choice, tree
 from .choice import Choice, Members
@@ -171,7 +171,7 @@ class Group:
         return ds.emitter.eval_direction(it, ds, lit)
 
     def _draw(self, it, asked, u):
-        with dr.suspend_grad(), _without_lookup():
+        with dr.suspend_grad(), lookup(False):
             width = take(mi.Float, self.width, asked)
             x = dr.fma(width, u.x, take(mi.Float, self.start, asked))
             chosen = self._choose(it, dr.minimum(x, choice.LAST))
@@ -187,7 +187,7 @@ class Group:
         return branch(d, active, partial(self._density, type(it)(it), slot), _no_density)
 
     def _density(self, it, slot, d):
-        with dr.suspend_grad(), _without_lookup():
+        with dr.suspend_grad(), lookup(False):
             if self.nodes is None:
                 first, count = mi.UInt32(0), len(self._lamps)
                 share, root = choice.probability(self.members, first, count, it, slot)
@@ -311,11 +311,6 @@ def _no_density(d):
 
 def _scalar() -> bool:
     return not dr.is_jit_v(mi.Float)
-
-
-def _without_lookup():
-    """See `Lamp._without_lookup`."""
-    return dr.scoped_set_flag(dr.JitFlag.ValueNumbering, False)
 
 
 def _distinct(lamps: Sequence[Lamp]) -> tuple[list[tuple[type, Strategy]], np.ndarray]:

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..geometry.light import Light, StoredLight
-from ..geometry.tracing import branch
+from ..geometry.tracing import branch, lookup
 from ..sampling import STRATEGIES, find
 from ..sampling.strategy import Strategy
 from .textured import Textured, follows_texture
@@ -109,7 +109,7 @@ class Lamp:
 
     def _draw(self, it, u):
         """`Draw` of one trace of the branch."""
-        with dr.suspend_grad(), self._without_lookup():
+        with dr.suspend_grad(), lookup(self.follows_texture):
             drawn = p, n, uv, _, _, pdf = draw_from(self.strategy, self.stored, None, it, u)
             inv_pdf = dr.select(pdf > 0, dr.rcp(pdf), 0)
             si = dr.zeros(mi.SurfaceInteraction3f)
@@ -119,17 +119,8 @@ class Lamp:
 
     def _density(self, it, d):
         """Density of one trace of the branch."""
-        with dr.suspend_grad(), self._without_lookup():
+        with dr.suspend_grad(), lookup(self.follows_texture):
             return density_of(self.strategy, self.stored, None, it, d)
-
-    def _without_lookup(self):
-        """Stop Dr.Jit from searching for each new operation among all living ones.
-
-        With a hundred lamps this search is a quarter of the time to trace them. The strategies
-        hardly repeat an operation, so they do without it. Mitsuba's bitmaps repeat operations, so
-        lamps with a bitmap keep it.
-        """
-        return dr.scoped_set_flag(dr.JitFlag.ValueNumbering, self.follows_texture)
 
     # ---- Positions ----
 

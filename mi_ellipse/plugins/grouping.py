@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import drjit as dr
 import mitsuba as mi
 
-from ..geometry.tracing import registry_number
 from ..lamps.group import Group
 from .names import ELLIPTICAL_AREA
 
@@ -70,4 +69,4 @@ def _identities(emitters: list[mi.Emitter]) -> list:
     """Registry numbers; in scalar variants weak references, which are called as functions."""
     if not dr.is_jit_v(mi.Float):
         return [weakref.ref(emitter) for emitter in emitters]
-    return [registry_number(emitter) for emitter in emitters]
+    return [dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(e))[0] for e in emitters]

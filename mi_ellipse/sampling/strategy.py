@@ -23,7 +23,7 @@ class Strategy(Protocol[Record]):
 
     Give a name to each value that is used twice, and to each literal in code that every path runs.
     The reason is that Dr.Jit merges no equal operations while it traces a strategy
-    (`mi_ellipse.lamps.lamp`).
+    (`geometry.tracing.lookup`).
     """
 
     def prepare(self, view: View, normal: mi.Normal3f) -> Record:

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from conftest import floor_and, lamp
+from conftest import floor_and, kernels_of, lamp
 from mi_ellipse.geometry import ellipse
 from mi_ellipse.sampling import STRATEGIES
 from scipy import stats
@@ -407,18 +407,6 @@ def test_lamps_equal_in_every_respect():
     lamps = {name: lamp(LAMP, "solid_angle") for name in "ab"}
     pictures = [picture(mi.load_dict(floor_and(lamps), optimize=o)) for o in (True, False)]
     assert pictures[0].mean() == pytest.approx(pictures[1].mean(), rel=0.02)
-
-
-def kernels_of(scene):
-    """Operations and callables of the kernels that render a scene."""
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
-        dr.kernel_history_clear()
-        picture(scene, spp=1)
-        kernels = dr.kernel_history([dr.KernelType.JIT])
-    return (
-        sum(kernel["operation_count"] for kernel in kernels),
-        sum(kernel["ir"].getvalue().count("define ") for kernel in kernels),
-    )
 
 
 @jit

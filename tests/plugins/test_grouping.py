@@ -9,7 +9,7 @@ import mi_ellipse
 import mitsuba as mi
 import numpy as np
 import pytest
-from conftest import floor_and, lamp
+from conftest import floor_and, kernels_of, lamp
 from mi_ellipse.system.messages import innermost_cause
 
 from oracles.ellipse import rotation, translation
@@ -305,18 +305,6 @@ def test_two_scenes_in_turns():
         alone.append(picture(load(lamps, grouped)))
     for a, b in zip(first, alone, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-3)
-
-
-def kernels_of(scene):
-    """Operations and callables of the kernels that render a scene."""
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
-        dr.kernel_history_clear()
-        picture(scene, spp=1)
-        kernels = dr.kernel_history([dr.KernelType.JIT])
-    return (
-        sum(kernel["operation_count"] for kernel in kernels),
-        sum(kernel["ir"].getvalue().count("define ") for kernel in kernels),
-    )
 
 
 @jit
