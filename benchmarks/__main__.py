@@ -25,6 +25,7 @@ NAMES = (
     "lamps",
     "first_frame",
     "growth",
+    "groups",
 )
 FIGURES = "figures"
 
