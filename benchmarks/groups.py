@@ -351,7 +351,16 @@ def run(pairs: int = PAIRS) -> dict:
             cases[name][label] = entry = _entry(measured[label], own)
             for kind, values in entry.items():
                 print(f"{name:<28}{label:<14}{kind:<36}{values}", flush=True)
-    return {"size": SIZE, "spp": SPP, "cases": cases, "tracing": measure_tracing()}
+    return {
+        "size": SIZE,
+        "spp": SPP,
+        "seeds": SEEDS,
+        "pairs": pairs,
+        "rounds": ROUNDS,
+        "traced": TRACED,
+        "cases": cases,
+        "tracing": measure_tracing(),
+    }
 
 
 if __name__ == "__main__":

@@ -47,8 +47,8 @@ class Gallery:
     The pictures of one scene in one folder.
 
     A picture counts as there if it was made with the same settings: scene and the files it names,
-    parameters, variant, samples, seed, strategy, grouping, versions, the package's own rendering code, and
-    the machine, since its times are kept with it.
+    parameters, variant, samples, seed, strategy, grouping, versions, the package's own rendering
+    code, and the machine, since its times are kept with it.
     """
 
     def __init__(self, folder: Path, scene_file: Path, parameters: Mapping[str, str]):
