@@ -185,7 +185,45 @@ def weights() -> str:
     return table(" | ".join(["strategy", *WEIGHTS, *RANGES]), rows)
 
 
+# ---- docs/many_lamps.md ----
+
+
+def groups() -> str:
+    """What grouped lamps buy and cost, by scene, integrator and strategy."""
+    measured, rows = data("groups"), []
+    for name, case in measured["cases"].items():
+        for samples in (DIRECT, BOTH):
+            for strategy in CHOICE:
+                entry = case[samples][f"{strategy}, grouped"]
+                own, exact = entry["over ungrouped"], entry.get("exact choice")
+                error = "{median:.3g} [{low:.3g}, {high:.3g}]".format(**own["error"])
+                time = "{median:.2f} [{low:.2f}, {high:.2f}]".format(**own["time"])
+                bound = number(exact["median"], 3) if exact else ""
+                net = [number(entry[key]["net"], 3) for key in ("over ungrouped", "over built-in")]
+                rows.append([name, samples, f"`{strategy}`", error, bound, time, *net])
+    return (
+        f"Pictures of {measured['size']}² pixels with {measured['spp']} samples each,"
+        f" {measured['seeds']} seeds; times of {measured['pairs']} turns in {measured['rounds']}"
+        " round(s) of new processes.\n\n"
+        + table(
+            "scene | samples | strategy | error | exact choice | time | gain | over built-in", rows
+        )
+    )
+
+
+def groups_tracing() -> str:
+    """Milliseconds a lamp to trace a render, and seconds to the first frame."""
+    rows = [
+        [count, kind, f"{row['tracing_ms'] / int(count):.2f}", f"{row['first_frame_s']:.2f}"]
+        for count, kinds in data("groups")["tracing"].items()
+        for kind, row in kinds.items()
+    ]
+    return table("lamps | kind | tracing, ms a lamp | first frame, s", rows)
+
+
 BLOCKS: dict[str, Callable[[], str]] = {
+    "groups": groups,
+    "groups_tracing": groups_tracing,
     "strategies": readme_strategies,
     "bounds": readme_bounds,
     "choice": readme_choice,

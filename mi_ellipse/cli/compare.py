@@ -12,6 +12,7 @@ from rich.console import Console
 from .options import (
     DEFAULT_VARIANT,
     Definitions,
+    Grouping,
     Insets,
     SceneFile,
     Variant,
@@ -28,7 +29,11 @@ def run(
     scene_file: SceneFile,
     sampling: Annotated[
         str,
-        typer.Option(metavar="NAME,…", help="Strategies; all are compared with the first."),
+        typer.Option(
+            metavar="NAME,…",
+            help="Strategies; all are compared with the first. `NAME+ungrouped` leaves the choice"
+            " of the lamp to Mitsuba.",
+        ),
     ],
     spp: Annotated[str, typer.Option(metavar="N,…", help="Samples per pixel.")],
     reference_spp: Annotated[int, typer.Option(min=2, help="Samples per pixel of the reference.")],
@@ -39,6 +44,7 @@ def run(
         int, typer.Option(min=1, help="Pictures of each kind, for the error of the errors.")
     ] = 4,
     variant: Variant = DEFAULT_VARIANT,
+    grouping: Grouping = True,
     insets: Insets = None,
     definitions: Definitions = None,
 ) -> None:
@@ -51,7 +57,10 @@ def run(
     with one_line_errors(), interrupt_ends_process():
         # Not with the other imports: drawing would make every command slow to start.
         from ..study import compare
+        from ..study.kinds import ungrouped
 
+        if not grouping:
+            strategies = [ungrouped(name) for name in strategies]
         mi.set_variant(variant)
         output.mkdir(parents=True, exist_ok=True)
         console = Console(stderr=True)

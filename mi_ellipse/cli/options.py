@@ -14,6 +14,13 @@ DEFAULT_VARIANT = "llvm_ad_rgb"
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE.xml", help="Scene to render.")]
 Variant = Annotated[str, typer.Option(help="Mitsuba variant.")]
 Seed = Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of the samples.")]
+Grouping = Annotated[
+    bool,
+    typer.Option(
+        "--grouping/--no-grouping",
+        help="Two or more lamps choose among themselves, or leave the choice to Mitsuba.",
+    ),
+]
 Definitions = Annotated[
     list[str] | None,
     typer.Option("-D", "--define", metavar="NAME=VALUE", help="Value of a scene parameter."),

@@ -16,6 +16,7 @@ from ..rendering.job import Plan, Rendering, RenderJob
 from .options import (
     DEFAULT_VARIANT,
     Definitions,
+    Grouping,
     SceneFile,
     Seed,
     Variant,
@@ -42,6 +43,7 @@ def run(
     half: Annotated[
         bool, typer.Option("--half", help="Store half instead of single precision.")
     ] = False,
+    grouping: Grouping = True,
     definitions: Definitions = None,
 ) -> None:
     """Render a scene to an OpenEXR file, and a PNG beside it for a quick look."""
@@ -54,7 +56,7 @@ def run(
             raise ValueError(f"{exr}: the output is an OpenEXR file, and its name ends in .exr")
         for file in (exr, png):
             _check_writable(file)
-        job = RenderJob(scene_file, parameters, variant, sampling, spp, seed)
+        job = RenderJob(scene_file, parameters, variant, sampling, spp, seed, grouping=grouping)
         with interrupt_ends_process():
             rendering = _render(job)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import mitsuba as mi
 
+from ..plugins.grouping import group_lamps
 from . import passes, provenance
 from .passes import Progress, Rendering, Timing
 from .scene import ParsedScene, instantiate, parse_scene
@@ -82,6 +83,7 @@ class RenderJob:
     # Render once beforehand, unless a job has done so since the scene was loaded. It compiles the
     # kernel, which is the same for every number of samples.
     warm_up: bool = False
+    grouping: bool = True  # Two or more lamps choose among themselves; False: Mitsuba's choice
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", Path(self.scene))
@@ -131,7 +133,7 @@ class RenderJob:
 class _Loaded:
     """A scene in memory."""
 
-    key: tuple[Path, Mapping[str, str], str, str | None]
+    key: tuple[Path, Mapping[str, str], str, str | None, bool]
     stamps: dict[Path, tuple[int, int]]  # time of the last change and size of its files
     digest: str
     scene: mi.Scene
@@ -168,7 +170,7 @@ class Stage:
 
     def load(self, job: RenderJob) -> _Loaded:
         """Return the scene of a job, under the variant that is set."""
-        key = (job.scene.resolve(), job.parameters, job.variant, job.sampling)
+        key = (job.scene.resolve(), job.parameters, job.variant, job.sampling, job.grouping)
         loaded = self._loaded
         if loaded is None or loaded.key != key or loaded.stamps != _stamps(loaded.stamps):
             loaded = None
@@ -176,7 +178,10 @@ class Stage:
             parsed = parse_scene(job.scene, job.parameters)
             stamps = _stamps(_files(parsed))
             digest = provenance.parsed_digest(parsed)
-            loaded = _Loaded(key, stamps, digest, instantiate(parsed, job.sampling))
+            scene = instantiate(parsed, job.sampling)
+            if job.grouping:
+                group_lamps(scene)
+            loaded = _Loaded(key, stamps, digest, scene)
             self._loaded = loaded
         return loaded
 

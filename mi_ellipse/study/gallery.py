@@ -15,6 +15,7 @@ from ..files.images import Image
 from ..rendering import provenance
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import Rendering, RenderJob, Timing
+from .kinds import split
 
 
 @dataclass(frozen=True, order=True)
@@ -22,7 +23,7 @@ class Task:
     """A picture to be rendered."""
 
     seed: int
-    sampling: str
+    sampling: str  # A strategy, with `kinds.UNGROUPED` after it where Mitsuba chooses the lamp
     spp: int  # as asked for
 
     @property
@@ -46,8 +47,8 @@ class Gallery:
     The pictures of one scene in one folder.
 
     A picture counts as there if it was made with the same settings: scene and the files it names,
-    parameters, variant, samples, seed, strategy, versions, the package's own rendering code, and
-    the machine, since its times are kept with it.
+    parameters, variant, samples, seed, strategy, grouping, versions, the package's own rendering
+    code, and the machine, since its times are kept with it.
     """
 
     def __init__(self, folder: Path, scene_file: Path, parameters: Mapping[str, str]):
@@ -105,14 +106,16 @@ class Gallery:
         return Picture(self._file(task), task, rendering.spp, rendering.timing, rendering.warm_up)
 
     def _job(self, task: Task) -> RenderJob:
+        strategy, grouping = split(task.sampling)
         return RenderJob(
             self.scene_file,
             self.parameters,
             variant(),
-            task.sampling,
+            strategy,
             task.spp,
             task.seed,
             warm_up=True,
+            grouping=grouping,
         )
 
     def _file(self, task: Task) -> Path:
@@ -164,4 +167,10 @@ def colour(rendering: Rendering, what: str) -> Image:
 
 
 def _settings_of(task: Task) -> dict[str, str]:
-    return {"sampling": task.sampling, "asked_spp": str(task.spp), "seed": str(task.seed)}
+    strategy, grouping = split(task.sampling)
+    return {
+        "sampling": strategy,
+        "grouping": provenance.yes_or_no(grouping),
+        "asked_spp": str(task.spp),
+        "seed": str(task.seed),
+    }

@@ -15,6 +15,7 @@ from ..sampling import find
 from . import results
 from .album import Album
 from .gallery import Gallery, Task, settings
+from .kinds import split
 from .measuring import Key, Pictures, Progress, measure, median, summarize
 from .reference import render_reference
 from .results import EQUAL_SAMPLES, EQUAL_TIME, Comparison, Measurement
@@ -47,6 +48,8 @@ def compare(
         Output folder, made if needed.
     strategies
         Names for every ``ellipticalarea`` of the scene. The others are compared with the first.
+        Lamps choose among themselves, unless ``+ungrouped`` follows the name. The reference does
+        not depend on it.
     spp
         Samples per pixel. At equal time, each strategy takes as many as take the time that the
         first strategy needs for these.
@@ -129,7 +132,7 @@ def match_samples(seconds: float, spp: Sequence[int], measured: Sequence[float])
 
 def _check(strategies: Sequence[str], spp: Sequence[int]) -> None:
     for name in strategies:
-        find(name)
+        find(split(name)[0])
     if not strategies or not spp or min(spp) < 1:
         raise ValueError("a comparison needs a strategy and numbers of samples of at least 1")
 

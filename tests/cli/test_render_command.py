@@ -53,6 +53,7 @@ def test_render_writes_a_picture_with_the_settings_that_made_it(scene_file):
         "seed": str(2**32 - 1),
         "variant": "llvm_ad_rgb",
         "sampling": "solid_angle",
+        "grouping": "yes",
         "mi_ellipse_version": mi_ellipse.__version__,
         "mitsuba_version": mi.__version__,
         "drjit_version": dr.__version__,
@@ -338,3 +339,16 @@ def test_interrupt_during_a_pass_ends_the_process_at_once(scene_file):
             child.kill()
     assert files(scene_file.parent) == ["scene.exr", "scene.xml"]
     assert (scene_file.parent / "scene.exr").read_text() == "earlier"
+
+
+def test_grouping_can_be_left_to_mitsuba(tmp_path):
+    far = LAMP.replace('<translate z="2"/>', '<scale value="0.2"/><translate x="2" z="3"/>')
+    file = write_scene(tmp_path / "two.xml", LAMP + far)
+    for name, options in (("grouped", []), ("plain", ["--no-grouping"])):
+        result = invoke("render", file, "-o", f"{name}.exr", "--spp", 16, *options)
+        assert result.exit_code == 0, result.output
+    words = [mi.Bitmap(f"{name}.exr").metadata()["grouping"] for name in ("grouped", "plain")]
+    assert words == ["yes", "no"]
+    expected = mi.render(mi.load_file(str(file)), spp=16, seed=0).numpy()
+    np.testing.assert_allclose(read("plain.exr"), expected, rtol=1e-5)
+    assert not np.allclose(read("grouped.exr"), expected, rtol=1e-3)

@@ -5,8 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from comparisons import run
+from mi_ellipse.sampling import STRATEGIES
 from mi_ellipse.study import drawing
-from mi_ellipse.study.drawing import curves
+from mi_ellipse.study.drawing import curves, style
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 
@@ -53,3 +54,10 @@ def test_labels_are_spread_no_further_than_needed():
     np.testing.assert_allclose(low, [0, 0.1, 0.5])
     high = curves._spread(np.array([0.2, 1.0, 1.0]), 0.1, 0, 1)
     np.testing.assert_allclose(high, [0.2, 0.9, 1.0])
+
+
+def test_ungrouped_lamps_have_a_label_and_a_colour_of_their_own():
+    assert style.label_of("solid_angle+ungrouped") == "solid angle, ungrouped"
+    colours = [style.style_of(name)[0] for name in STRATEGIES]
+    colours += [style.style_of(f"{name}+ungrouped")[0] for name in STRATEGIES]
+    assert len(set(colours)) == 2 * len(STRATEGIES)

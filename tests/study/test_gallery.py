@@ -76,3 +76,19 @@ def test_pictures_go_on_after_an_interruption(small_scene, tmp_path, count_rende
     said = []
     run(small_scene, tmp_path / "out", said)
     assert said[0] == "Pictures at equal samples: 3 of 8 reused"
+
+
+def test_pictures_of_either_choice_of_lamps_are_kept_apart(small_scene, tmp_path):
+    names = ("solid_angle", "solid_angle+ungrouped")
+    comparison = run(small_scene, tmp_path, strategies=names, spp=(2,), seeds=1)
+    assert comparison.strategies == names
+    for name, word in zip(names, ("yes", "no"), strict=True):
+        file = tmp_path / "pictures" / f"{name}_2spp_seed1.exr"
+        metadata = mi.Bitmap(str(file)).metadata()
+        assert (metadata["sampling"], metadata["grouping"]) == ("solid_angle", word)
+    # A picture made the other way does not count, whatever its name is.
+    grouped, other = (tmp_path / "pictures" / f"{name}_2spp_seed1.exr" for name in names)
+    grouped.write_bytes(other.read_bytes())
+    gallery = Gallery(tmp_path / "pictures", small_scene, {})
+    assert gallery.find(Task(1, names[0], 2)) is None
+    assert gallery.find(Task(1, names[1], 2))

@@ -276,6 +276,7 @@ def test_black_reference_is_refused(small_scene, tmp_path):
     ("options", "words"),
     [
         (["--sampling", "area,nonsense", "--spp", "2"], ['"nonsense"', "solid_angle"]),
+        (["--sampling", "area+grouped", "--spp", "2"], ['"area+grouped"', "solid_angle"]),
         (["--sampling", "area", "--spp", "0"], ["at least 1"]),
     ],
 )

@@ -6,6 +6,7 @@ from textwrap import wrap
 from typing import Any
 
 from ...sampling import STRATEGIES
+from ..kinds import split
 
 COLUMN_WIDTH = 3.4  # inches, of a page with two columns
 PAGE_WIDTH = 7.1
@@ -25,15 +26,25 @@ OTHER_STYLE = ("#555555", "X")
 
 
 def style_of(sampling: str) -> tuple[str, str]:
-    """Return the colour and the mark of a strategy."""
-    entry = STRATEGIES.get(sampling)
-    return (entry.colour, entry.mark) if entry else OTHER_STYLE
+    """Return the colour and the mark of a strategy; where lamps are not grouped, a pale colour."""
+    strategy, grouping = split(sampling)
+    entry = STRATEGIES.get(strategy)
+    colour, mark = (entry.colour, entry.mark) if entry else OTHER_STYLE
+    return colour if grouping else _pale(colour), mark
 
 
 def label_of(sampling: str) -> str:
     """Return what figures call a strategy."""
-    entry = STRATEGIES.get(sampling)
-    return entry.label if entry else sampling.replace("_", " ")
+    strategy, grouping = split(sampling)
+    entry = STRATEGIES.get(strategy)
+    label = entry.label if entry else strategy.replace("_", " ")
+    return label if grouping else f"{label}, ungrouped"
+
+
+def _pale(colour: str) -> str:
+    """Return a colour, "#rrggbb", half way to white."""
+    parts = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
+    return "#" + "".join(f"{(part + 255) // 2:02x}" for part in parts)
 
 
 # ---- Words and numbers ----
