@@ -37,7 +37,7 @@ COUNTS = (1, 10, 100, 1000)
 TRACED = 2  # processes of each count and kind
 EXACT_UP_TO = 16  # lamps; the exact choice looks at every lamp, one after the other
 
-Load = Callable[[str], mi.Scene]  # Of a kind of lamps
+Load = Any  # Callable[[str], mi.Scene], which exists only once a variant is set: Of a kind of lamps
 
 
 # ---- Scenes ----

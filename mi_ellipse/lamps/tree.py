@@ -1,8 +1,9 @@
 """A balanced tree over many lamps, whose leaves choose by exact estimates.
 
-The importance of a node follows A. Conty Estevez and C. Kulla, *Importance Sampling of Many Lights
-with Adaptive Tree Splitting* (HPG 2018): power, distance, a cone of normals, and bounds of the
-cosines over the node's sphere.
+As in A. Conty Estevez and C. Kulla, *Importance Sampling of Many Lights with Adaptive Tree
+Splitting* (HPG 2018), the importance of a node comes from power, distance, orientation and the
+surface. It takes means over the lamps where they take bounds. Bounds are 1 as soon as a node is
+close and its normals differ, so they tell near nodes nothing about each other.
 """
 
 from __future__ import annotations
@@ -21,9 +22,13 @@ from .estimate import FAR_SIDE
 
 LEAF = 2  # slots of a leaf
 
-# Least cosine at the surface in the importance of a node. Bounds of the cosine are rough. A node
-# that gives light with too small an importance makes fireflies.
-LEAST_COSINE = 0.02
+# The mean of a cosine, clipped at zero, over a node: ``(m + √(m² + SOFTNESS v)) / 2`` for the mean
+# m and the variance v of the cosine. At m = 0 it is that of a normal distribution, √(v / 2π).
+SOFTNESS = 2 / np.pi
+
+# Part of the choice between two nodes that follows their power alone. A node whose importance is
+# too low then costs variance and no fireflies.
+POWER_SHARE = 0.01
 
 
 @dataclass
@@ -35,9 +40,9 @@ class Tree:
     """
 
     centre: mi.Point3f  # Of the lamps, weighted by power
-    radius2: mi.Float  # Squared, of the sphere about the centre around the lamps
-    axis: mi.Vector3f  # Mean normal
-    cos_spread: mi.Float  # Cosine of the largest angle between a normal and the axis
+    spread2: mi.Float  # Mean squared distance of the lamps' surfaces from the centre
+    normal: mi.Vector3f  # Mean normal, zero for lamps that shine in all directions
+    flat: mi.Float  # Part of the power from lamps that have a normal
     power: mi.Float
     depth: int = field(default=0)  # levels below the root
 
@@ -74,45 +79,40 @@ class Tree:
         """Probability of the left one of two siblings."""
         a, power_a = self._importance(left, it)
         b, power_b = self._importance(left + mi.UInt32(1), it)
-        total = a + b
-        some = total > 0
         by_power = power_a / (power_a + power_b)  # The left one of two siblings is never empty
-        share = dr.select(some, a / dr.select(some, total, 1), by_power)
+        total = a + b
+        some = (total > 0) & (total < dr.inf)
+        part = dr.select(some, a / dr.select(some, total, 1), by_power)
+        share = dr.fma(1 - POWER_SHARE, part, POWER_SHARE * by_power)
         # All of a random number: it is below 1.
         return dr.select(power_b > 0, share, 1)
 
     def _importance(self, node: mi.UInt32, it: mi.Interaction3f) -> tuple[mi.Float, mi.Float]:
-        """Bound of what the lamps of a node give to a point, and the node's power."""
+        """About what the lamps of a node give to a point, and the node's power."""
         power = take(mi.Float, self.power, node)
         to_centre = take(mi.Point3f, self.centre, node) - it.p
-        radius2 = take(mi.Float, self.radius2, node)
-        distance2 = dr.squared_norm(to_centre)
-        inside = distance2 <= radius2
-        inv = dr.rsqrt(dr.select(inside, 1, distance2))
+        spread2 = take(mi.Float, self.spread2, node)
+        distance2 = dr.squared_norm(to_centre) + spread2  # Mean square
+        inv = dr.rsqrt(distance2)
+        # Variance of a direction's component, of lamps that are spread alike in all directions
+        variance = spread2 * inv * inv * (1 / 3)
 
-        # The sphere of the node covers this angle around its centre.
-        sin2 = dr.select(inside, 1, radius2 * inv * inv)
-        sine, cosine = dr.sqrt(sin2), dr.safe_sqrt(1 - sin2)
-        cosine = dr.select(inside, -1, cosine)
-
-        spread = take(mi.Float, self.cos_spread, node)
-        towards = -dr.dot(take(mi.Vector3f, self.axis, node), to_centre) * inv
-        towards = _nearer(towards, spread, dr.safe_sqrt(1 - spread * spread))
-        at_lamp = dr.select(inside, 1, dr.maximum(_nearer(towards, cosine, sine), 0))
+        normal, flat = take(mi.Vector3f, self.normal, node), take(mi.Float, self.flat, node)
+        flat2 = flat * flat
+        scatter = dr.maximum(flat2 - dr.squared_norm(normal), 0) * (1 / 3)
+        towards = -dr.dot(normal, to_centre) * inv
+        at_lamp = 1 - flat + _clipped_mean(towards, dr.fma(flat2, variance, scatter))
 
         upwards = dr.dot(it.n, to_centre) * inv
-        front = dr.maximum(_nearer(upwards, cosine, sine), 0)
-        back = dr.maximum(_nearer(-upwards, cosine, sine), 0)
-        at_surface = dr.maximum(front + FAR_SIDE * back, LEAST_COSINE)
-        at_surface = dr.select(inside | (dr.squared_norm(it.n) == 0), 1, at_surface)
-        return power * at_lamp * at_surface / dr.maximum(distance2, 0.25 * radius2), power
+        front, back = _clipped_mean(upwards, variance), _clipped_mean(-upwards, variance)
+        at_surface = dr.fma(FAR_SIDE, back, front)
+        at_surface = dr.select(dr.squared_norm(it.n) > 0, at_surface, 1)
+        return dr.select(power > 0, power * at_lamp * at_surface * (inv * inv), 0), power
 
 
-def _nearer(cosine: mi.Float, other: mi.Float, other_sine: mi.Float) -> mi.Float:
-    """Cosine of an angle less another one, and 1 where the other one is larger."""
-    return dr.select(
-        cosine >= other, 1, dr.fma(cosine, other, dr.safe_sqrt(1 - cosine * cosine) * other_sine)
-    )
+def _clipped_mean(mean: mi.Float, variance: mi.Float) -> mi.Float:
+    """Mean of a number, clipped at zero, from its mean and variance (`SOFTNESS`)."""
+    return 0.5 * (mean + dr.sqrt(dr.fma(mean, mean, SOFTNESS * variance)))
 
 
 # ---- Building ----
@@ -168,12 +168,12 @@ def build(lights: Lights, slots: np.ndarray) -> Tree:
         levels.append(_level(width, there, power, centre, normal, radius, all_around))
         width *= 2
     nodes = [np.concatenate(parts) for parts in zip(*reversed(levels), strict=True)]
-    middle, radius2, axis, cos_spread, total = nodes
+    middle, spread2, normal, flat, total = nodes
     return Tree(
         centre=_array(mi.Point3f, middle),
-        radius2=_array(mi.Float, radius2),
-        axis=_array(mi.Vector3f, axis),
-        cos_spread=_array(mi.Float, cos_spread),
+        spread2=_array(mi.Float, spread2),
+        normal=_array(mi.Vector3f, normal),
+        flat=_array(mi.Float, flat),
         power=_array(mi.Float, total),
         depth=len(levels),
     )
@@ -197,12 +197,8 @@ def _level(width, there, power, centre, normal, radius, all_around) -> tuple[np.
     weight = np.where(there, power + 1e-6 * total[:, None] + 1e-30, 0)
     weight /= np.maximum(weight.sum(1), 1e-30)[:, None]
     middle = (weight[..., None] * centre).sum(1)
-    distance = np.linalg.norm(centre - middle[:, None], axis=2)
-    reach = np.where(there, distance + radius, 0).max(1)
-    axis = (weight[..., None] * normal).sum(1)
-    length = np.linalg.norm(axis, axis=1, keepdims=True)
-    axis = np.where(length > 1e-6, axis / np.maximum(length, 1e-6), [0.0, 0, 1])
-    cosine = np.where(there, (normal * axis[:, None]).sum(2), 1)
-    cosine = np.where(all_around, -1, cosine).min(1)
-    # Rounded outwards to single precision
-    return middle, reach**2 * (1 + 1e-5), axis, np.clip(cosine - 1e-6, -1, 1), total
+    # The square of a coordinate is a quarter of the squared radius in the mean over a disk.
+    distance2 = ((centre - middle[:, None]) ** 2).sum(2) + 0.25 * radius**2
+    spread2 = (weight * distance2).sum(1)
+    facing = np.where(all_around, 0, weight)
+    return middle, spread2, (facing[..., None] * normal).sum(1), facing.sum(1), total
