@@ -8,12 +8,12 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import TypeAlias
 
 import drjit as dr
 import mi_ellipse
 import mitsuba as mi
 import numpy as np
-from mi_ellipse.plugins.grouping import group_lamps
 from mi_ellipse.study.metrics import trimmed_mean
 from scipy.stats import t as student
 
@@ -37,7 +37,7 @@ COUNTS = (1, 10, 100, 1000)
 TRACED = 2  # processes of each count and kind
 EXACT_UP_TO = 16  # lamps; the exact choice looks at every lamp, one after the other
 
-Load = Any  # Callable[[str], mi.Scene], which exists only once a variant is set: Of a kind of lamps
+Load: TypeAlias = "Callable[[str], mi.Scene]"  # Of a kind of lamps
 
 
 # ---- Scenes ----
@@ -140,7 +140,7 @@ def load(scene: Load, kind: str) -> mi.Scene:
     """A scene with a kind of lamps out of `KINDS`; grouped if the kind says so."""
     loaded = scene(kind.removesuffix(GROUPED))
     if kind.endswith(GROUPED):
-        group_lamps(loaded)
+        mi_ellipse.group_lamps(loaded)
     return loaded
 
 
@@ -300,7 +300,7 @@ def trace(kind: str, count: int) -> dict[str, float]:
     scene = many_lamps(kind.removesuffix(GROUPED), count)
     loaded = time.perf_counter()
     if kind.endswith(GROUPED):
-        group_lamps(scene)
+        mi_ellipse.group_lamps(scene)
     grouped = time.perf_counter()
     mi.render(scene, spp=1).numpy()
     first_frame = time.perf_counter()
