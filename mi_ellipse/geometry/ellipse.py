@@ -98,6 +98,8 @@ class PrincipalAxes:
 class StoredEllipse(PrincipalAxes):
     """An elliptical light as a lamp keeps it between traces; arrays of many lights too."""
 
+    planar: ClassVar[bool] = True
+
     centre: mi.Point3f  # Mitsuba keeps transforms in single precision
 
     def light(self) -> Ellipse:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import drjit as dr
 import mitsuba as mi
 
-from .cone import Cone
+from .cone import Cone, RoundCone
 
 
 class Hit(NamedTuple):
@@ -66,7 +66,7 @@ class View(ABC):
 
     @property
     @abstractmethod
-    def cone(self) -> Cone:
+    def cone(self) -> Cone | RoundCone:
         """The cone of directions that meet the light."""
 
     def outlook(self, normal: mi.Normal3f) -> Outlook:
@@ -89,6 +89,8 @@ class View(ABC):
 
 class StoredLight(Protocol):
     """A light as a lamp keeps it between traces: a dataclass of evaluated numbers."""
+
+    planar: ClassVar[bool]  # As that of `Light`
 
     def light(self) -> Light:
         """Return the light for one trace."""

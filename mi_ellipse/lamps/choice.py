@@ -8,8 +8,6 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 
-from ..geometry.ellipse import StoredEllipse
-from ..geometry.ellipsoid import StoredEllipsoid
 from ..geometry.tracing import take
 from .estimate import irradiance
 
@@ -35,26 +33,26 @@ class Members:
     """The lamps of a group, an element a slot; a slot of no power is empty."""
 
     power: mi.Float  # Sampling weight times mean radiance
-    planar: StoredEllipse | None  # None if all lamps are solids
-    solid: StoredEllipsoid | None  # None if all lamps are planar
-    is_solid: mi.Bool
+    lights: list[Any]  # Arrays of each kind of light that the group has
+    kind: mi.UInt32  # Place of a slot's light in that list
 
     def kinds(self) -> list[tuple[type, Any]]:
         """Type and arrays of each kind of light that the group has."""
-        kinds = [(StoredEllipse, self.planar), (StoredEllipsoid, self.solid)]
-        return [(kind, arrays) for kind, arrays in kinds if arrays is not None]
+        return [(type(each[0] if isinstance(each, list) else each), each) for each in self.lights]
 
     def estimate(self, slot: mi.UInt32, it: mi.Interaction3f) -> tuple[mi.Float, mi.Float]:
         """`irradiance` of the light in a slot, and its `View.root`."""
-        found = []
-        for kind, arrays in self.kinds():
-            view = take(kind, arrays, slot).light().seen_from(it.p)
-            found.append((irradiance(view, it.n), view.root))
-        if len(found) == 1:
-            return found[0]
-        solid = take(mi.Bool, self.is_solid, slot)
-        planar, round_ = found
-        return tuple(dr.select(solid, b, a) for a, b in zip(planar, round_, strict=True))
+        gain, root = mi.Float(0), mi.Float(0)
+        kind = take(mi.UInt32, self.kind, slot)
+        for place, (stored, arrays) in enumerate(self.kinds()):
+            view = take(stored, arrays, slot).light().seen_from(it.p)
+            here = (irradiance(view, it.n), view.root)
+            if place == 0:
+                gain, root = here
+            else:
+                that = kind == place
+                gain, root = dr.select(that, here[0], gain), dr.select(that, here[1], root)
+        return gain, root
 
 
 def choose(

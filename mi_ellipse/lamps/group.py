@@ -11,8 +11,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry.ellipse import StoredEllipse
-from ..geometry.ellipsoid import StoredEllipsoid
 from ..geometry.light import StoredLight, field_values
 from ..geometry.tracing import branch, lookup, take
 from ..sampling.strategy import Strategy
@@ -247,16 +245,13 @@ class _Row:
 
 def _members(rows: Sequence[_Row], power: np.ndarray) -> Members:
     """Arrays of the lights in the slots. Where the kind is wrong, one of the right kind repeats."""
-    solid = np.array([isinstance(row.stored, StoredEllipsoid) for row in rows])
-    arrays = {}
-    for name, kind, right in (
-        ("planar", StoredEllipse, ~solid),
-        ("solid", StoredEllipsoid, solid),
-    ):
-        some = np.flatnonzero(right)
-        chosen = [rows[k if right[k] else some[0]] for k in range(len(rows))] if some.size else None
-        arrays[name] = _stack(kind, chosen) if chosen else None
-    return Members(power=_array(mi.Float, power), is_solid=_array(mi.Bool, solid), **arrays)
+    kinds = list(dict.fromkeys(type(row.stored) for row in rows))
+    kind = np.array([kinds.index(type(row.stored)) for row in rows], dtype=np.uint32)
+    lights = []
+    for place, each in enumerate(kinds):
+        other = rows[np.argmax(kind == place)]
+        lights.append(_stack(each, [row if type(row.stored) is each else other for row in rows]))
+    return Members(power=_array(mi.Float, power), lights=lights, kind=_array(mi.UInt32, kind))
 
 
 def _stack(kind: type, rows: Sequence[_Row]) -> StoredLight | list[StoredLight]:
@@ -280,8 +275,8 @@ def _lights(rows: Sequence[_Row], brightness: np.ndarray) -> Lights:
     centre = np.array([row.fields["centre"] for row in rows], dtype=float)
     ex, ey = (np.array([row.fields[name] for row in rows], dtype=float) for name in ("ex", "ey"))
     radius = np.array([row.fields["lx"][0] for row in rows], dtype=float)
-    ratio = np.array([row.fields["ratio"][0] for row in rows])
-    solid = np.array([isinstance(row.stored, StoredEllipsoid) for row in rows])
+    ratio = np.array([row.fields["ratio"][0] if "ratio" in row.fields else 1 for row in rows])
+    solid = np.array([not row.stored.planar for row in rows])
     # What a solid shows of itself is about as large as its largest cross section.
     return Lights(
         centre=centre,

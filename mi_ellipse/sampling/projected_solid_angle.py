@@ -8,10 +8,11 @@ from typing import NamedTuple
 import drjit as dr
 import mitsuba as mi
 
-from ..geometry.cone import Cone
+from ..geometry.cone import Cone, RoundCone
 from ..geometry.light import View
 from ..geometry.tracing import TINY, branch
-from .solid_angle import SolidAngle
+from . import cap
+from .solid_angle import SolidAngle, on_disk
 from .strategy import register
 
 # Squared scale c² of the tangent T of the latitude λ. The primitive of (1 + c² T²)^(-3/2) is
@@ -56,11 +57,24 @@ LEAST_TILT2 = 1e-12  # Squared sine between normal and axis below which every po
 AT_POLE = 1e-18  # Cosine of the latitude of a pole; its inverse square is finite
 
 
+# A cap is drawn in exact proportion to the cosine, unless the cosine at its rim falls below this
+# part of the mean. The cosine of a shading normal need not fall as well. The slices have this least
+# density too (`AT_HORIZON`).
+LEAST_COSINE = 0.088
+
+
 class Record(NamedTuple):
     """What is computed once per reference point."""
 
-    cone: Cone
+    cone: Cone | RoundCone
     n: mi.Vector3f  # Surface normal in the frame of the cone; zero in media
+
+
+class RoundRecord(NamedTuple):
+    """What is computed once per reference point, for a sphere."""
+
+    cone: RoundCone
+    n: mi.Vector3f  # Surface normal in the frame of the light; zero in media
 
 
 class Slices(NamedTuple):
@@ -310,7 +324,7 @@ def _minor_share(h: mi.Float) -> mi.Float:
     return 0.5 * (1 - h) * dr.fma(0.25, h, 1)
 
 
-def _slices(seen: Cone, n: mi.Vector3f, one_sided: bool) -> Slices:
+def _slices(seen: Cone | RoundCone, n: mi.Vector3f, one_sided: bool) -> Slices:
     """Slices of a cone for a normal in its frame."""
     ta2, tb2 = (dr.minimum(t2, LARGEST_TANGENT2) for t2 in (seen.ta2, seen.tb2))
 
@@ -407,17 +421,25 @@ class ProjectedSolidAngle:
         self.one_sided = one_sided
         self.uniform = SolidAngle()
 
-    def prepare(self, view: View, normal: mi.Normal3f) -> Record:
+    def prepare(self, view: View, normal: mi.Normal3f) -> Record | RoundRecord:
         """Compute the cone of a reference point, and its normal in the frame of the cone."""
+        if isinstance(view.cone, RoundCone):
+            return RoundRecord(view.cone, view.light.to_light(normal))
         return Record(view.cone, view.cone.to_local(view.light.to_light(normal)))
 
-    def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
+    def sample(
+        self, record: Record | RoundRecord, u: mi.Point2f
+    ) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
         """Direction along the light's frame, its density, and validity."""
+        if isinstance(record, RoundRecord):
+            return *self._branch_round(record, u, self._sample_divided, _sample_cap), mi.Mask(True)
         d, pdf = self._branch(record, u, self._sample_slices, self._sample_whole)
         return record.cone.from_local(d), pdf, mi.Mask(True)
 
-    def pdf(self, record: Record, direction: mi.Vector3f) -> mi.Float:
+    def pdf(self, record: Record | RoundRecord, direction: mi.Vector3f) -> mi.Float:
         """Density of a direction that meets the light."""
+        if isinstance(record, RoundRecord):
+            return self._branch_round(record, direction, self._pdf_divided, _pdf_cap)
         d = record.cone.to_local(direction)
         return self._branch(record, d, self._pdf_slices, self._pdf_whole)
 
@@ -430,6 +452,23 @@ class ProjectedSolidAngle:
         across2, width2 = dr.fma(nx2, seen.ta2, ny2 * seen.tb2), nz2 * seen.ta2 * seen.ta2
         varies = dr.fma(0.25, width2, across2) > LEAST_CHANGE**2 * nz2
         return branch(argument, varies, partial(sliced, record), partial(whole, record))
+
+    def _branch_round(self, record: RoundRecord, argument, divided, whole):
+        """Use slices where the horizon divides the sphere or is close to it."""
+        least, mean = cap.least_cosine(record.cone, record.n)
+        near = least < (0 if self.one_sided else LEAST_COSINE * mean)
+        return branch(argument, near, partial(divided, record), partial(whole, record))
+
+    def _sample_divided(self, record, u):
+        """Direction in the frame of the light and its density."""
+        seen = record.cone
+        d, pdf = self._sample_slices(Record(seen, seen.to_local(record.n)), u)
+        return seen.from_local(d), pdf
+
+    def _pdf_divided(self, record, d):
+        """Density of a direction in the frame of the light."""
+        seen = record.cone
+        return self._pdf_slices(Record(seen, seen.to_local(record.n)), seen.to_local(d))
 
     def _sample_slices(self, record, u):
         """Direction in the frame of the cone and its density."""
@@ -475,3 +514,19 @@ class ProjectedSolidAngle:
     def _pdf_whole(self, record, d):
         """Density as in `_pdf_slices`, but uniform in solid angle."""
         return self.uniform.pdf_local(self.uniform.record(record.cone), d)
+
+
+def _sample_cap(record, u):
+    """Direction and density as in `_sample_divided`, with the cosine; uniform in media."""
+    seen, n = record
+    p = on_disk(u)
+    in_media = dr.squared_norm(n) == 0
+    d = dr.select(in_media, cap.uniform(seen, p), cap.projected(seen, n, p))
+    return d, _pdf_cap(record, d)
+
+
+def _pdf_cap(record, d):
+    """Density as in `_pdf_divided`, of the same draws."""
+    seen, n = record
+    in_media = dr.squared_norm(n) == 0
+    return dr.select(in_media, cap.uniform_density(seen), cap.projected_density(seen, n, d))

@@ -1,5 +1,6 @@
 """The shape `ellipsoid`, and `ellipticalarea` in a `sphere`, against Mitsuba's shapes + `area`."""
 
+import gc
 from functools import cache
 
 import drjit as dr
@@ -293,6 +294,8 @@ def test_vertices_that_are_no_ellipsoid_are_refused():
 
 @jit
 def test_update_under_freeze():
+    gc.collect()  # Dr.Jit records the lamps of all living scenes
+
     @dr.freeze
     def frozen(scene):
         return mi.render(scene, spp=16, seed=3)
