@@ -70,4 +70,4 @@ def least_cosine(cone: RoundCone, normal: mi.Vector3f) -> tuple[mi.Float, mi.Flo
     nz, cosine = dr.abs(dr.dot(cone.z, normal)), dr.sqrt(cone.cosine2)
     across2 = dr.maximum(dr.fma(-nz, nz, dr.squared_norm(normal)), 0)
     least = dr.fma(nz, cosine, -dr.sqrt(across2 * cone.sine2))
-    return least, 0.5 * nz * (1 + cosine)
+    return least, 0.5 * nz * (mi.Float(1) + cosine)
