@@ -269,11 +269,14 @@ def of_ellipse(
 
 
 def _minor_axis(y: mi.Vector3f, z: mi.Vector3f, otherwise: mi.Vector3f) -> mi.Vector3f:
-    """Make an axis orthogonal to z. Take another axis where only rounding is left of it."""
+    """Make an axis orthogonal to z. Take another axis where only rounding is left of it.
+
+    It is also rounding if its square is below the normal numbers, which have fewer digits there.
+    """
     size2, overlap = dr.squared_norm(y), dr.dot(y, z)
     left2 = dr.fma(-overlap, overlap, size2)
     y = (y - z * overlap) * dr.rsqrt(left2)
-    return dr.select(left2 > 0.25 * size2, y, otherwise)
+    return dr.select(left2 > dr.fma(0.25, size2, TINY), y, otherwise)
 
 
 class Confocal(NamedTuple):

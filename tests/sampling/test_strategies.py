@@ -532,7 +532,12 @@ def test_density_integrates_to_one(name, kind, s):
     _, pdf, valid = strategy.sample(record, mi.Point2f(GRID))
     share = np.broadcast_to(valid.numpy(), GRID.shape[1]).mean()
     # Half-cells at the edge of what is valid; a kink at the horizon
-    assert integral == pytest.approx(share, abs=1e-3)
+    tolerance = 1e-3
+    if kind != "planar" and name == "area":
+        # The density grows towards the rim like one over the root of the distance from it. A
+        # rounding of the direction is the part 6e-8 / tb of a small light.
+        tolerance += np.sqrt(6e-8 / tb)
+    assert integral == pytest.approx(share, abs=tolerance)
     if name == "rejection":
         # Those beside the light are in the bounding rectangle, all of which is drawn from.
         corners = [
