@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from .cone import LOWEST_ROOT, RoundCone
-from .light import Hit, Outlook, View, field_values
+from .light import Hit, View, field_values
 from .tracing import TINY, cross
 
 # Semi-axes that differ by a smaller part are those of a sphere: ten roundings of single precision.
@@ -25,7 +25,8 @@ LEAST_COSINE2 = 1e-7
 class SphereView(View):
     """A sphere as it is seen from a point, along the axes of the world."""
 
-    def _solve(self) -> mi.Float:
+    @cached_property
+    def root(self) -> mi.Float:
         """Squared length of a tangent from the point, negative inside; in double precision."""
         return mi.Float(dr.squared_norm(self.position) - 1)
 
@@ -36,13 +37,6 @@ class SphereView(View):
         tangent2 = dr.maximum(self.root, LOWEST_ROOT)
         inv = dr.rsqrt(tangent2 + mi.Float(1))
         return RoundCone(self.centre * inv, dr.rcp(tangent2), tangent2, dr.square(inv))
-
-    def outlook(self, normal: mi.Normal3f) -> Outlook:
-        """What the irradiance depends on, at a surface with a world-space normal."""
-        seen = self.cone
-        nz = dr.dot(normal, seen.z)
-        across2 = dr.maximum(dr.fma(-nz, nz, dr.squared_norm(normal)), 0)
-        return Outlook(dr.square(seen.sine2), nz, across2 * seen.ta2)
 
     @property
     def lit(self) -> mi.Mask:
@@ -70,8 +64,6 @@ class Ball:
 class StoredSphere(Ball):
     """A sphere as a lamp keeps it between traces; arrays of many too."""
 
-    planar: ClassVar[bool] = False
-
     centre: mi.Point3f  # Mitsuba keeps transforms in single precision
 
     def light(self) -> Sphere:
@@ -95,9 +87,9 @@ class Sphere(Ball):
         """Return what a lamp keeps."""
         return StoredSphere(**(field_values(self) | {"centre": mi.Point3f(self.centre)}))
 
-    def seen_from(self, point: mi.Point3f, root: mi.Float | None = None) -> SphereView:
-        """Return the view of the light from a world-space point; `root` if it is known already."""
-        return SphereView(self, self.light_coordinates(point), root)
+    def seen_from(self, point: mi.Point3f) -> SphereView:
+        """Return the view of the light from a world-space point."""
+        return SphereView(self, self.light_coordinates(point))
 
     def light_coordinates(self, reference: mi.Point3f) -> mi.Vector3d:
         """Vector from a world-space point to the centre in units of the radius."""

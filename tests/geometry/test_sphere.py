@@ -4,7 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from conftest import ellipsoids, spheres
+from conftest import spheres
 from mi_ellipse.geometry import cone, ellipsoid, sphere
 
 from oracles import ellipse as oracle
@@ -78,26 +78,6 @@ def test_frame_along_the_axes_of_the_world():
         frame = np.array([rows(v)[0] for v in (view.cone.x, view.cone.y, view.cone.z)])
         np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=3e-7)
         np.testing.assert_allclose(frame[2], direction, atol=1e-7)
-
-
-def test_outlook_is_that_of_the_general_ellipsoid():
-    """Sines, height and reach, which the choice among lamps needs; another derivation."""
-    rng = np.random.default_rng(2)
-    count = 300
-    centre, normal = rng.normal(size=(2, count, 3))
-    centre *= (rng.uniform(1.05, 5, count) / np.linalg.norm(centre, axis=1))[:, None]
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    normal[::10] = 0
-    axes, here = np.broadcast_to(np.eye(3), (count, 3, 3)), mi.Point3f(0, 0, 0)
-    n = mi.Normal3f(normal.T)
-    got = spheres(axes, centre).seen_from(here).outlook(n)
-    expected = ellipsoids(axes, centre).seen_from(here).outlook(n)
-    np.testing.assert_allclose(got.sines2.numpy(), expected.sines2.numpy(), rtol=3e-6)
-    np.testing.assert_allclose(got.nz.numpy(), expected.nz.numpy(), atol=1e-6)
-    scale = 1 + rows(expected.reach2)
-    np.testing.assert_allclose(
-        got.reach2.numpy() / scale, expected.reach2.numpy() / scale, atol=2e-6
-    )
 
 
 def test_inside_is_dark():
