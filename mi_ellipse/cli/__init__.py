@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from .. import __version__
-from . import compare, doctor, render, report
+from . import compare, convert, doctor, render, report
 
 app = typer.Typer(
     help="Exact elliptical lights for Mitsuba 3.",
@@ -17,6 +17,7 @@ app = typer.Typer(
 )
 app.command("render")(render.run)
 app.command("compare")(compare.run)
+app.command("convert")(convert.run)
 app.command("report")(report.run)
 app.command("doctor")(doctor.run)
 

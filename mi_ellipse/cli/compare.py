@@ -11,6 +11,7 @@ from rich.console import Console
 
 from .options import (
     DEFAULT_VARIANT,
+    ConvertLamps,
     Definitions,
     Grouping,
     Insets,
@@ -31,8 +32,9 @@ def run(
         str,
         typer.Option(
             metavar="NAME,…",
-            help="Strategies; all are compared with the first. `NAME+ungrouped` leaves the choice"
-            " of the lamp to Mitsuba.",
+            help="Strategies; all are compared with the first. `built-in` is Mitsuba's own emitter."
+            " `ID=NAME+NAME` chooses for the lamp of an id and for the others. `NAME+ungrouped`"
+            " leaves the choice of the lamp to Mitsuba.",
         ),
     ],
     spp: Annotated[str, typer.Option(metavar="N,…", help="Samples per pixel.")],
@@ -45,6 +47,7 @@ def run(
     ] = 4,
     variant: Variant = DEFAULT_VARIANT,
     grouping: Grouping = True,
+    convert_lamps: ConvertLamps = False,
     insets: Insets = None,
     definitions: Definitions = None,
 ) -> None:
@@ -74,7 +77,8 @@ def run(
                 seeds,
                 parameters,
                 progress,
-                console.print,
+                lambda text: console.print(text, markup=False, highlight=False, soft_wrap=True),
+                convert_lamps,
             )
         page = draw(comparison, regions, console)
     print(f"{page}, {output / 'results.csv'}, {output / 'results.json'}, {output / 'figures'}")

@@ -21,6 +21,13 @@ Grouping = Annotated[
         help="Two or more lamps choose among themselves, or leave the choice to Mitsuba.",
     ),
 ]
+ConvertLamps = Annotated[
+    bool,
+    typer.Option(
+        "--convert-lamps",
+        help="Turn each `area` on a `disk` or `sphere` into an `ellipticalarea`; the file stays.",
+    ),
+]
 Definitions = Annotated[
     list[str] | None,
     typer.Option("-D", "--define", metavar="NAME=VALUE", help="Value of a scene parameter."),

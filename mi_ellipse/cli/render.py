@@ -15,6 +15,7 @@ from ..rendering.executor import LocalExecutor
 from ..rendering.job import Plan, Rendering, RenderJob
 from .options import (
     DEFAULT_VARIANT,
+    ConvertLamps,
     Definitions,
     Grouping,
     SceneFile,
@@ -36,7 +37,12 @@ def run(
         int | None, typer.Option(min=1, help="Samples per pixel; by default the scene's.")
     ] = None,
     sampling: Annotated[
-        str | None, typer.Option(help="Sampling strategy of every `ellipticalarea`.")
+        str | None,
+        typer.Option(
+            metavar="NAME or ID=NAME,…",
+            help="Sampling strategy of every `ellipticalarea`, or of single ones by their ids;"
+            " `built-in` is Mitsuba's own.",
+        ),
     ] = None,
     variant: Variant = DEFAULT_VARIANT,
     seed: Seed = 0,
@@ -44,6 +50,7 @@ def run(
         bool, typer.Option("--half", help="Store half instead of single precision.")
     ] = False,
     grouping: Grouping = True,
+    convert_lamps: ConvertLamps = False,
     definitions: Definitions = None,
 ) -> None:
     """Render a scene to an OpenEXR file, and a PNG beside it for a quick look."""
@@ -56,7 +63,16 @@ def run(
             raise ValueError(f"{exr}: the output is an OpenEXR file, and its name ends in .exr")
         for file in (exr, png):
             _check_writable(file)
-        job = RenderJob(scene_file, parameters, variant, sampling, spp, seed, grouping=grouping)
+        job = RenderJob(
+            scene_file,
+            parameters,
+            variant,
+            sampling,
+            spp,
+            seed,
+            grouping=grouping,
+            convert_lamps=convert_lamps,
+        )
         with interrupt_ends_process():
             rendering = _render(job)
 
@@ -97,6 +113,8 @@ def _render(job: RenderJob) -> Rendering:
 
 
 def _announce(job: RenderJob, plan: Plan, console: Console) -> None:
+    if plan.conversion is not None:
+        console.print(str(plan.conversion), markup=False, highlight=False, soft_wrap=True)
     if job.spp is not None and plan.spp != job.spp:
         console.print(f"The scene's sampler makes {plan.spp} samples per pixel of {job.spp}.")
     if plan.loses_stratification:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from urllib.parse import quote
 
 import mitsuba as mi
 import numpy as np
@@ -28,7 +29,8 @@ class Task:
 
     @property
     def name(self) -> str:
-        return f"{self.sampling}_{self.spp}spp_seed{self.seed}"
+        """Name of its file; the id of a lamp can hold characters that no file name may."""
+        return f"{quote(self.sampling, safe='+=')}_{self.spp}spp_seed{self.seed}"
 
 
 @dataclass(frozen=True)
@@ -51,11 +53,18 @@ class Gallery:
     code, and the machine, since its times are kept with it.
     """
 
-    def __init__(self, folder: Path, scene_file: Path, parameters: Mapping[str, str]):
+    def __init__(
+        self,
+        folder: Path,
+        scene_file: Path,
+        parameters: Mapping[str, str],
+        convert_lamps: bool = False,
+    ):
         self.folder = folder
         self.scene_file = scene_file
         self.parameters = dict(parameters)
-        self._settings = settings(scene_file, parameters)
+        self.convert_lamps = convert_lamps
+        self._settings = settings(scene_file, parameters, convert_lamps)
         self._settings |= {
             "picture_digest": provenance.picture_digest(),
             "machine": provenance.machine(),
@@ -116,6 +125,7 @@ class Gallery:
             task.seed,
             warm_up=True,
             grouping=grouping,
+            convert_lamps=self.convert_lamps,
         )
 
     def _file(self, task: Task) -> Path:
@@ -130,11 +140,14 @@ def variant() -> str:
     return str(current)
 
 
-def settings(scene_file: Path, parameters: Mapping[str, str]) -> dict[str, str]:
+def settings(
+    scene_file: Path, parameters: Mapping[str, str], convert_lamps: bool = False
+) -> dict[str, str]:
     """Return what two pictures of a scene must have in common to be compared."""
     return {
         "scene_digest": provenance.scene_digest(scene_file, parameters),
         "variant": variant(),
+        "convert_lamps": provenance.yes_or_no(convert_lamps),
         **provenance.versions(),
     }
 

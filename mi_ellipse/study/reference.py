@@ -98,6 +98,7 @@ def render_reference(
     samples_per_pass: int = SAMPLES_PER_PASS,
     executor: Executor | None = None,
     album: Album | None = None,
+    convert_lamps: bool = False,
 ) -> Reference:
     """
     Render the reference of a scene, or what is missing of it, as the scene's integrator says.
@@ -121,6 +122,8 @@ def render_reference(
         Where the passes are rendered; by default in this process. Sums do not depend on it.
     album
         Takes the reference, so that it is not read again.
+    convert_lamps
+        Whether built-in lamps are converted, see `RenderJob`.
 
     Raises
     ------
@@ -128,7 +131,7 @@ def render_reference(
         If the folder holds a reference with other settings, or a pass has invalid pixels.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    shared = settings(scene_file, parameters)
+    shared = settings(scene_file, parameters, convert_lamps)
     halves = [
         _Half.open(folder / f"half_{i}.npz", shared | {"seed": f"{SEED}, {i}"}) for i in (1, 2)
     ]
@@ -140,7 +143,7 @@ def render_reference(
         if done:
             say(f"Reference: continued from {done} of {2 * target} spp")
         progress(done, 2 * target)
-        job = RenderJob(scene_file, parameters, variant())
+        job = RenderJob(scene_file, parameters, variant(), convert_lamps=convert_lamps)
         with LocalExecutor() as local:
             where = executor or local
             passes = list(_plan(halves, job, target, samples_per_pass, where))

@@ -13,11 +13,13 @@ import mi_ellipse
 import mitsuba as mi
 import numpy as np
 import pytest
-from commands import HEIGHT, LAMP, WIDTH, files, invoke, read, samples, write_scene
+from commands import HEIGHT, LAMP, SCENE, WIDTH, files, invoke, read, samples, write_scene
 from mi_ellipse.rendering import job, passes
 from mi_ellipse.rendering.provenance import scene_digest
 from mi_ellipse.rendering.scene import load_scene
 from mi_ellipse.sampling import STRATEGIES
+
+STRATEGY = '<string name="sampling" value="$sampling"/>'
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 
@@ -54,6 +56,7 @@ def test_render_writes_a_picture_with_the_settings_that_made_it(scene_file):
         "variant": "llvm_ad_rgb",
         "sampling": "solid_angle",
         "grouping": "yes",
+        "convert_lamps": "no",
         "mi_ellipse_version": mi_ellipse.__version__,
         "mitsuba_version": mi.__version__,
         "drjit_version": dr.__version__,
@@ -352,3 +355,27 @@ def test_grouping_can_be_left_to_mitsuba(tmp_path):
     expected = mi.render(mi.load_file(str(file)), spp=16, seed=0).numpy()
     np.testing.assert_allclose(read("plain.exr"), expected, rtol=1e-5)
     assert not np.allclose(read("grouped.exr"), expected, rtol=1e-3)
+
+
+# ---- Lamps of an existing scene ----
+
+
+def test_built_in_lamps_are_converted_on_the_way_in(scene_file):
+    text = SCENE.format(lamps=LAMP).replace('"disk"', '"disk" id="ceiling"')
+    scene_file.write_text(text.replace("ellipticalarea", "area").replace(STRATEGY, ""))
+    result = invoke("render", scene_file, "--convert-lamps", "--sampling", "ceiling=area")
+    assert result.exit_code == 0, result.output
+    assert '1 lamp converted to "ellipticalarea": ceiling\n' in result.stderr
+    metadata = mi.Bitmap("scene.exr").metadata()
+    assert (metadata["convert_lamps"], metadata["sampling"]) == ("yes", "ceiling=area")
+    written = scene_file.with_name("written.xml")
+    written.write_text(text)
+    expected = mi.render(mi.load_file(str(written), sampling="area"), spp=4, seed=0).numpy()
+    np.testing.assert_allclose(read("scene.exr"), expected, rtol=1e-5)
+
+
+def test_built_in_is_a_choice(scene_file):
+    assert invoke("render", scene_file, "--sampling", "built-in").exit_code == 0
+    text = scene_file.read_text().replace("ellipticalarea", "area").replace(STRATEGY, "")
+    expected = mi.render(mi.load_string(text), spp=4, seed=0).numpy()
+    np.testing.assert_allclose(read("scene.exr"), expected, rtol=1e-5)

@@ -27,9 +27,9 @@ def loads(monkeypatch):
     made = []
     load = job_module.instantiate
 
-    def counting(parsed, sampling):
+    def counting(parsed, sampling, convert_lamps):
         made.append(sampling)
-        return load(parsed, sampling)
+        return load(parsed, sampling, convert_lamps)
 
     monkeypatch.setattr(job_module, "instantiate", counting)
     return made
@@ -43,6 +43,7 @@ def test_a_job_is_a_value(scene_file):
     job = RenderJob(scene_file, parameters, "llvm_ad_rgb", "area", 4, 7)
     assert job == RenderJob(str(scene_file), dict(parameters), "llvm_ad_rgb", "area", 4, 7)
     assert len({job, pickle.loads(pickle.dumps(job)), dataclasses.replace(job, seed=8)}) == 2
+    assert job != dataclasses.replace(job, convert_lamps=True)
     assert job != dataclasses.replace(job, parameters={})
     parameters["sampler"] = "independent"
     assert job.parameters == {"sampler": "stratified"}
@@ -156,7 +157,7 @@ def test_jobs_in_a_row_share_scene_and_warm_up(scene_file, loads, monkeypatch):
         np.testing.assert_allclose(result.image, alone.image, rtol=1e-5)
 
 
-@pytest.mark.parametrize("change", ["parameters", "variant", "sampling", "file", "mesh"])
+@pytest.mark.parametrize("change", ["parameters", "variant", "sampling", "file", "mesh", "lamps"])
 def test_what_makes_another_scene_loads_it(scene_file, loads, change):
     mi.load_dict({"type": "cube"}).write_ply("cube.ply")
     mesh = '<shape type="ply"><string name="filename" value="cube.ply"/></shape>'
@@ -167,6 +168,7 @@ def test_what_makes_another_scene_loads_it(scene_file, loads, change):
         "parameters": {"parameters": {"sampler": "stratified"}},
         "variant": {"variant": "llvm_ad_mono"},
         "sampling": {"sampling": "solid_angle"},
+        "lamps": {"convert_lamps": True},
     }
     with LocalExecutor() as executor:
         executor.submit(job.run).result()
