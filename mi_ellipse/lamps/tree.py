@@ -9,13 +9,12 @@ close and its normals differ, so they tell near nodes nothing about each other.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry.tracing import take
+from ..geometry.tracing import table, take
 from . import choice
 from .choice import Choice, Members, rescaled
 from .estimate import FAR_SIDE
@@ -170,20 +169,13 @@ def build(lights: Lights, slots: np.ndarray) -> Tree:
     nodes = [np.concatenate(parts) for parts in zip(*reversed(levels), strict=True)]
     middle, spread2, normal, flat, total = nodes
     return Tree(
-        centre=_array(mi.Point3f, middle),
-        spread2=_array(mi.Float, spread2),
-        normal=_array(mi.Vector3f, normal),
-        flat=_array(mi.Float, flat),
-        power=_array(mi.Float, total),
+        centre=table(mi.Point3f, middle.T),
+        spread2=table(mi.Float, spread2),
+        normal=table(mi.Vector3f, normal.T),
+        flat=table(mi.Float, flat),
+        power=table(mi.Float, total),
         depth=len(levels),
     )
-
-
-def _array(dtype: type, rows: np.ndarray) -> Any:
-    """Dr.Jit array of a row a node, or a list in scalar variants."""
-    if dr.is_jit_v(mi.Float):
-        return dtype(np.ascontiguousarray(np.float32(rows).T))
-    return [dtype(row.tolist()) for row in rows]
 
 
 def _level(width, there, power, centre, normal, radius, all_around) -> tuple[np.ndarray, ...]:

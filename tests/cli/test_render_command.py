@@ -344,7 +344,8 @@ def test_interrupt_during_a_pass_ends_the_process_at_once(scene_file):
     assert (scene_file.parent / "scene.exr").read_text() == "earlier"
 
 
-def test_grouping_can_be_left_to_mitsuba(tmp_path):
+def test_grouping_can_be_left_to_mitsuba(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     far = LAMP.replace('<translate z="2"/>', '<scale value="0.2"/><translate x="2" z="3"/>')
     file = write_scene(tmp_path / "two.xml", LAMP + far)
     for name, options in (("grouped", []), ("plain", ["--no-grouping"])):
