@@ -11,12 +11,17 @@ from rich.console import Console
 
 from .options import (
     DEFAULT_VARIANT,
+    KNOWN_STRATEGIES,
     ConvertLamps,
     Definitions,
     Grouping,
     Insets,
+    Integrator,
+    Resolution,
     SceneFile,
+    Sensor,
     Variant,
+    parse_changes,
     parse_definitions,
     parse_insets,
     parse_integers,
@@ -32,9 +37,9 @@ def run(
         str,
         typer.Option(
             metavar="NAME,…",
-            help="Strategies; all are compared with the first. `built-in` is Mitsuba's own emitter."
-            " `ID=NAME+NAME` chooses for the lamp of an id and for the others. `NAME+ungrouped`"
-            " leaves the choice of the lamp to Mitsuba.",
+            help=f"Strategies; all are compared with the first. Known are {KNOWN_STRATEGIES}; the"
+            " last one is Mitsuba's own emitter. `ID=NAME+NAME` chooses for the lamp of an id and"
+            " for the others. `NAME+ungrouped` leaves the choice of the lamp to Mitsuba.",
         ),
     ],
     spp: Annotated[str, typer.Option(metavar="N,…", help="Samples per pixel.")],
@@ -48,11 +53,15 @@ def run(
     variant: Variant = DEFAULT_VARIANT,
     grouping: Grouping = True,
     convert_lamps: ConvertLamps = False,
+    sensor: Sensor = None,
+    integrator: Integrator = None,
+    resolution: Resolution = None,
     insets: Insets = None,
     definitions: Definitions = None,
 ) -> None:
     """Compare sampling strategies: errors, times, figures and a report to look at."""
     parameters = parse_definitions(definitions)
+    changes = parse_changes(convert_lamps, sensor, integrator, resolution)
     counts = parse_integers("--spp", spp)
     regions = parse_insets(insets)
     strategies = [name.strip() for name in sampling.split(",")]
@@ -78,7 +87,7 @@ def run(
                 parameters,
                 progress,
                 lambda text: console.print(text, markup=False, highlight=False, soft_wrap=True),
-                convert_lamps,
+                changes,
             )
         page = draw(comparison, regions, console)
     print(f"{page}, {output / 'results.csv'}, {output / 'results.json'}, {output / 'figures'}")

@@ -15,11 +15,12 @@ import mitsuba as mi
 
 from ..plugins.grouping import group_lamps
 from . import passes, provenance
+from .changes import UNCHANGED, Changes
 from .passes import Progress, Rendering, Timing
 from .rewrite import Conversion
 from .scene import ParsedScene, instantiate, parse_scene
 
-__all__ = ["Parameters", "Plan", "RenderJob", "Rendering", "Stage", "Timing"]
+__all__ = ["Changes", "Parameters", "Plan", "RenderJob", "Rendering", "Stage", "Timing"]
 
 MAX_SEED = 2**32 - 1
 
@@ -54,6 +55,7 @@ class Plan:
     film_size: tuple[int, int]  # width and height in pixels, of the part that is rendered
     loses_stratification: bool  # the passes are noisier together than a single one
     conversion: Conversion | None = None  # what became of built-in lamps, where a job converts them
+    sensors: tuple[str, ...] = ()  # of the scene, by id or number
 
     @property
     def spp(self) -> int:
@@ -87,7 +89,7 @@ class RenderJob:
     # kernel, which is the same for every number of samples.
     warm_up: bool = False
     grouping: bool = True  # Two or more lamps choose among themselves; False: Mitsuba's choice
-    convert_lamps: bool = False  # Each `area` on a `disk` or `sphere` becomes an `ellipticalarea`
+    changes: Changes = UNCHANGED  # Of lamps, sensor, integrator and resolution
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", Path(self.scene))
@@ -103,7 +105,8 @@ class RenderJob:
             sizes = passes.plan_passes(loaded.scene, self.spp)
             width, height = loaded.scene.sensors()[0].film().crop_size()
             loses = passes.loses_stratification(loaded.scene, len(sizes))
-            return Plan(sizes, (int(width), int(height)), loses, loaded.conversion)
+            size = int(width), int(height)
+            return Plan(sizes, size, loses, loaded.conversion, loaded.sensors)
 
     def run(self, progress: Progress | None = None) -> Rendering:
         """
@@ -142,6 +145,7 @@ class _Loaded:
     digest: str
     scene: mi.Scene
     conversion: Conversion | None
+    sensors: tuple[str, ...]
     warm_up: Timing | None = None
 
 
@@ -181,7 +185,7 @@ class Stage:
             job.variant,
             job.sampling,
             job.grouping,
-            job.convert_lamps,
+            job.changes,
         )
         loaded = self._loaded
         if loaded is None or loaded.key != key or loaded.stamps != _stamps(loaded.stamps):
@@ -190,11 +194,11 @@ class Stage:
             parsed = parse_scene(job.scene, job.parameters)
             stamps = _stamps(_files(parsed))
             digest = provenance.parsed_digest(parsed)
-            conversion = parsed.conversion() if job.convert_lamps else None
-            scene = instantiate(parsed, job.sampling, job.convert_lamps)
+            conversion = parsed.conversion() if job.changes.convert_lamps else None
+            scene = instantiate(parsed, job.sampling, job.changes)
             if job.grouping:
                 group_lamps(scene)
-            loaded = _Loaded(key, stamps, digest, scene, conversion)
+            loaded = _Loaded(key, stamps, digest, scene, conversion, parsed.sensors())
             self._loaded = loaded
         return loaded
 

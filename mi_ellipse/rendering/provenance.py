@@ -112,8 +112,9 @@ def describe(job: RenderJob, rendering: Rendering) -> dict[str, str]:
     """
     Return the settings that made a picture, as texts for its metadata.
 
-    ``sampling`` reads "as in the scene" where the job chose none; ``grouping`` and
-    ``convert_lamps`` are "yes" or "no", see :func:`yes_or_no`; ``parameters`` is a JSON object;
+    ``sampling`` reads "as in the scene" where the job chose none; ``grouping`` is "yes" or "no",
+    see :func:`yes_or_no`; ``parameters`` is a JSON object; ``convert_lamps``, ``sensor``,
+    ``integrator`` and ``resolution`` tell the job's changes;
     ``scene_digest`` is that of :func:`scene_digest` for the scene that was rendered.
     """
     return {
@@ -125,16 +126,16 @@ def describe(job: RenderJob, rendering: Rendering) -> dict[str, str]:
         "variant": job.variant,
         "sampling": job.sampling or "as in the scene",
         "grouping": yes_or_no(job.grouping),
-        "convert_lamps": yes_or_no(job.convert_lamps),
+        **job.changes.describe(),
         "parameters": json.dumps(dict(job.parameters)),
         **versions(),
         "render_seconds": f"{rendering.seconds:.3f}",
     }
 
 
-def yes_or_no(flag: bool) -> str:
-    """Return the metadata's word for whether lamps are grouped, or converted."""
-    return "yes" if flag else "no"
+def yes_or_no(grouping: bool) -> str:
+    """Return the metadata's word for whether lamps choose among themselves."""
+    return "yes" if grouping else "no"
 
 
 class _Bare(ast.NodeTransformer):

@@ -3,6 +3,7 @@
 # Types such as `mi.Scene` exist only once a variant is set.
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,7 +15,10 @@ import mitsuba as mi
 
 from ..plugins.names import ELLIPTICAL_AREA
 from . import rewrite
+from .changes import UNCHANGED, Changes, sensor_names
 from .rewrite import Conversion
+
+UNUSED = "unused parameters"  # In Mitsuba's error for values that a scene does not use
 
 # Mitsuba's stubs know the functions of the file resolver and of the log under other names.
 _mi: Any = mi
@@ -68,6 +72,10 @@ class ParsedScene:
         """Tell which lamps ``convert_lamps`` converts."""
         return rewrite.convert_lamps(self.resolved())
 
+    def sensors(self) -> tuple[str, ...]:
+        """Return the ids of the sensors, and numbers for those without."""
+        return tuple(sensor_names(self.resolved()))
+
     @contextmanager
     def files_found(self) -> Iterator[None]:
         """Let relative file names mean what they mean in the scene."""
@@ -106,11 +114,15 @@ def load_scene(
     ------
     ValueError
         If an ``ellipticalarea`` belongs to no shape, if `sampling` is unknown, if it is given but
-        the scene has no ``ellipticalarea``, or if the file holds something other than a scene.
+        the scene has no ``ellipticalarea``, if the scene does not use one of `parameters`, or if
+        the file holds something other than a scene.
     RuntimeError
         From Mitsuba, for everything that is wrong with the file itself.
     """
-    return instantiate(parse_scene(path, parameters), sampling, convert_lamps)
+    parsed = parse_scene(path, parameters)
+    if convert_lamps:
+        _mi.Log(mi.LogLevel.Info, str(parsed.conversion()))
+    return instantiate(parsed, sampling, Changes(convert_lamps))
 
 
 def parse_scene(
@@ -129,24 +141,43 @@ def parse_scene(
     _mi.set_file_resolver(resolver)
     try:
         state = mi.parser.parse_file(config, str(path), **(parameters or {}))
+    except RuntimeError as error:
+        if UNUSED in str(error):
+            raise ValueError(_unknown_parameters(path, parameters or {})) from None
+        raise
     finally:
         _mi.set_file_resolver(before)
     return ParsedScene(path.resolve(), config, state, resolver)
 
 
+def _unknown_parameters(path: Path, parameters: Mapping[str, str]) -> str:
+    """Return the error for values of parameters that a scene does not use."""
+    config = mi.parser.ParserConfig(mi.variant() or "")
+    config.unused_parameters = mi.LogLevel.Debug
+    state = mi.parser.parse_file(config, str(path), **parameters)
+    known: dict[str, None] = {}  # In the order of the files
+    for file in state.files:
+        text = re.sub(r"<!--.*?-->", "", Path(str(file)).read_text("utf-8", "replace"), flags=re.S)
+        known |= dict.fromkeys(re.findall(r"(?<!\\)\$(\w+)", text))
+    unknown = ", ".join(
+        f"{name}={value}" for name, value in parameters.items() if name not in known
+    )
+    names = f"known are: {', '.join(known)}" if known else "it has none"
+    return f"{path}: the scene has no parameter for {unknown}; {names}"
+
+
 def instantiate(
-    parsed: ParsedScene, sampling: str | None = None, convert_lamps: bool = False
+    parsed: ParsedScene, sampling: str | None = None, changes: Changes = UNCHANGED
 ) -> mi.Scene:
     """
-    Load a scene that has been parsed; other parameters and errors are those of :func:`load_scene`.
+    Load a scene that has been parsed, changed; errors are those of :func:`load_scene`.
 
     What was parsed stays as it is and can be loaded again.
     """
     with parsed.files_found():
         state = parsed.resolved()
         _refuse_detached_lamps(state)
-        if convert_lamps:
-            _mi.Log(mi.LogLevel.Info, str(rewrite.convert_lamps(state)))
+        changes.apply(state)
         if sampling is not None:
             rewrite.choose_sampling(state, sampling)
         mi.parser.transform_all(parsed.config, state)

@@ -14,6 +14,7 @@ import numpy as np
 from ..files import images
 from ..files.images import Image
 from ..rendering import provenance
+from ..rendering.changes import UNCHANGED, Changes
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import Rendering, RenderJob, Timing
 from .kinds import split
@@ -58,13 +59,13 @@ class Gallery:
         folder: Path,
         scene_file: Path,
         parameters: Mapping[str, str],
-        convert_lamps: bool = False,
+        changes: Changes = UNCHANGED,
     ):
         self.folder = folder
         self.scene_file = scene_file
         self.parameters = dict(parameters)
-        self.convert_lamps = convert_lamps
-        self._settings = settings(scene_file, parameters, convert_lamps)
+        self.changes = changes
+        self._settings = settings(scene_file, parameters, changes)
         self._settings |= {
             "picture_digest": provenance.picture_digest(),
             "machine": provenance.machine(),
@@ -125,7 +126,7 @@ class Gallery:
             task.seed,
             warm_up=True,
             grouping=grouping,
-            convert_lamps=self.convert_lamps,
+            changes=self.changes,
         )
 
     def _file(self, task: Task) -> Path:
@@ -141,13 +142,13 @@ def variant() -> str:
 
 
 def settings(
-    scene_file: Path, parameters: Mapping[str, str], convert_lamps: bool = False
+    scene_file: Path, parameters: Mapping[str, str], changes: Changes = UNCHANGED
 ) -> dict[str, str]:
     """Return what two pictures of a scene must have in common to be compared."""
     return {
         "scene_digest": provenance.scene_digest(scene_file, parameters),
         "variant": variant(),
-        "convert_lamps": provenance.yes_or_no(convert_lamps),
+        **changes.describe(),
         **provenance.versions(),
     }
 

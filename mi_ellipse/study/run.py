@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..files import images
+from ..rendering.changes import UNCHANGED, Changes
 from ..rendering.provenance import machine
 from ..rendering.rewrite import check_choice
 from ..rendering.scene import parse_scene
@@ -34,7 +35,7 @@ def compare(
     parameters: Mapping[str, str] | None = None,
     progress: Progress = lambda step, done, total: None,
     say: Callable[[str], None] = print,
-    convert_lamps: bool = False,
+    changes: Changes = UNCHANGED,
 ) -> Comparison:
     """
     Compare sampling strategies in a scene with a reference, at equal samples and at equal time.
@@ -64,9 +65,8 @@ def compare(
         Values for the scene's ``<default>`` parameters.
     progress, say
         Called with the progress of a step, and with sentences for the user.
-    convert_lamps
-        Turn every ``area`` on a ``disk`` or ``sphere`` into an ``ellipticalarea``, for all pictures
-        but those of ``built-in``.
+    changes
+        Of the scene, for all pictures and the reference.
 
     Raises
     ------
@@ -77,11 +77,11 @@ def compare(
     scene_file, folder, parameters = Path(scene_file), Path(folder), dict(parameters or {})
     strategies, spp = tuple(dict.fromkeys(strategies)), tuple(sorted(set(spp)))
     _check(strategies, spp)
-    if convert_lamps:
+    if changes.convert_lamps:
         say(f"{parse_scene(scene_file, parameters).conversion()}")
 
     # Pictures come first: they show within seconds whether the scene renders at all.
-    gallery = Gallery(folder / "pictures", scene_file, parameters, convert_lamps)
+    gallery = Gallery(folder / "pictures", scene_file, parameters, changes)
     grid = [(name, count) for name in strategies for count in spp]
     pictures = _fill(gallery, grid, seeds, EQUAL_SAMPLES, progress, say)
     matches = _match_times(strategies, spp, pictures)
@@ -97,7 +97,7 @@ def compare(
         lambda done, total: progress("reference", done, total),
         say,
         album=album,
-        convert_lamps=convert_lamps,
+        changes=changes,
     )
     values = measure(folder, pictures, reference, album, progress)
     measurements: list[Measurement] = []
@@ -108,7 +108,7 @@ def compare(
         keys = [matches[name, count] for name in strategies]
         measurements += summarize(EQUAL_TIME, keys, pictures, values)
 
-    about = settings(scene_file, parameters, convert_lamps)
+    about = settings(scene_file, parameters, changes)
     comparison = Comparison(
         scene_file, parameters, folder, strategies, spp, seeds, about, machine(), reference,
         tuple(measurements), album,

@@ -206,5 +206,8 @@ def test_description_of_a_picture(scene_file):
         "sampling": "area",
         "grouping": "yes",
         "convert_lamps": "no",
+        "sensor": "the first",
+        "integrator": "as in the scene",
+        "resolution": "as in the scene",
         "parameters": '{"sampler": "stratified"}',
     }
