@@ -8,7 +8,9 @@ close and its normals differ, so they tell near nodes nothing about each other.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -47,16 +49,17 @@ class Tree:
 
     def choose(self, members: Members, it: mi.Interaction3f, u: mi.Float) -> Choice:
         """Choose a lamp for a point with one random number."""
-        position, chance, first = mi.UInt32(0), mi.Float(1), 0
-        for level in range(1, self.depth + 1):
+
+        def descend(level, position, chance, u):
             left = position + position
-            share = self._left_share(left + first, it)
+            share = self._left_share(left + _first(level), it)
             right = u >= share
             width = dr.select(right, 1 - share, share)
-            u = rescaled(u, dr.select(right, share, 0), width)
-            chance *= width
             position = left + dr.select(right, mi.UInt32(1), mi.UInt32(0))
-            first += 2**level
+            u = rescaled(u, dr.select(right, share, 0), width)
+            return level + mi.UInt32(1), position, chance * width, u
+
+        _, position, chance, u = self._loop(descend, mi.UInt32(0), mi.Float(1), u)
         leaf = choice.choose(members, position * LEAF, LEAF, it, u)
         return leaf._replace(probability=leaf.probability * chance)
 
@@ -64,15 +67,23 @@ class Tree:
         self, members: Members, it: mi.Interaction3f, slot: mi.UInt32
     ) -> tuple[mi.Float, mi.Float]:
         """Probability with which `choose` takes a slot, and its `View.root`."""
-        position, chance, first = slot // LEAF, mi.Float(1), 0
-        for level in range(1, self.depth + 1):
-            here = position >> (self.depth - level)
+        position = slot // LEAF
+
+        def descend(level, chance):
+            here = position >> (mi.UInt32(self.depth) - level)
             is_right = (here & 1) > 0
-            share = self._left_share(here - (here & 1) + first, it)
-            chance *= dr.select(is_right, 1 - share, share)
-            first += 2**level
+            share = self._left_share(here - (here & 1) + _first(level), it)
+            return level + mi.UInt32(1), chance * dr.select(is_right, 1 - share, share)
+
+        _, chance = self._loop(descend, mi.Float(1))
         inside, root = choice.probability(members, position * LEAF, LEAF, it, slot)
         return chance * inside, root
+
+    def _loop(self, body: Callable, *state: Any) -> tuple:
+        """Result of a body that runs once for each level, from the first one below the root on."""
+        return dr.while_loop(
+            (mi.UInt32(1), *state), lambda level, *_: level <= mi.UInt32(self.depth), body
+        )
 
     def _left_share(self, left: mi.UInt32, it: mi.Interaction3f) -> mi.Float:
         """Probability of the left one of two siblings."""
@@ -107,6 +118,11 @@ class Tree:
         at_surface = dr.fma(FAR_SIDE, back, front)
         at_surface = dr.select(dr.squared_norm(it.n) > 0, at_surface, 1)
         return dr.select(power > 0, power * at_lamp * at_surface * (inv * inv), 0), power
+
+
+def _first(level: mi.UInt32) -> mi.UInt32:
+    """Place of the first node of a level."""
+    return (mi.UInt32(1) << level) - mi.UInt32(2)
 
 
 def _clipped_mean(mean: mi.Float, variance: mi.Float) -> mi.Float:
