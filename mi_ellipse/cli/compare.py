@@ -11,7 +11,6 @@ from rich.console import Console
 
 from .options import (
     DEFAULT_VARIANT,
-    KNOWN_STRATEGIES,
     ConvertLamps,
     Definitions,
     Grouping,
@@ -37,9 +36,9 @@ def run(
         str,
         typer.Option(
             metavar="NAME,…",
-            help=f"Strategies; all are compared with the first. Known are {KNOWN_STRATEGIES}; the"
-            " last one is Mitsuba's own emitter. `ID=NAME+NAME` chooses for the lamp of an id and"
-            " for the others. `NAME+ungrouped` leaves the choice of the lamp to Mitsuba.",
+            help="Strategies; all are compared with the first. `ID=NAME+NAME` chooses for the lamp"
+            " of an id and for the others. `NAME+ungrouped` leaves the choice of the lamp to"
+            " Mitsuba. The names stand below.",
         ),
     ],
     spp: Annotated[str, typer.Option(metavar="N,…", help="Samples per pixel.")],

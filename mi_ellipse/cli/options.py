@@ -11,7 +11,8 @@ from ..rendering.job import MAX_SEED, Changes
 from ..rendering.rewrite import BUILT_IN
 from ..sampling import STRATEGIES
 
-KNOWN_STRATEGIES = ", ".join([*STRATEGIES, BUILT_IN])
+# Below the options, because a column of the table is too narrow for the longest names
+STRATEGIES_HELP = f"Strategies: {', '.join([*STRATEGIES, BUILT_IN])}. The last is Mitsuba's `area`."
 DEFAULT_VARIANT = "llvm_ad_rgb"
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE.xml", help="Scene to render.")]

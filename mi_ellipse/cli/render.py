@@ -19,7 +19,6 @@ from ..rendering.job import Plan, Rendering, RenderJob
 from ..rendering.scene import parse_scene
 from .options import (
     DEFAULT_VARIANT,
-    KNOWN_STRATEGIES,
     ConvertLamps,
     Definitions,
     Grouping,
@@ -49,9 +48,9 @@ def run(
     sampling: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME or ID=NAME,…",
-            help="Sampling strategy of every `ellipticalarea`, or of single ones by their ids."
-            f" Known are {KNOWN_STRATEGIES}; the last one is Mitsuba's own emitter.",
+            metavar="NAME",
+            help="Sampling strategy of every `ellipticalarea`, or ID=NAME,… for single ones by"
+            " their ids. The names stand below.",
         ),
     ] = None,
     variant: Variant = DEFAULT_VARIANT,
