@@ -11,7 +11,16 @@ import mitsuba as mi
 import numpy as np
 
 from .. import sampling as strategies
-from ..plugins.names import AREA, DISK, ELLIPSE, ELLIPSOID, ELLIPTICAL_AREA, SPHERE
+from ..plugins.names import (
+    AREA,
+    DISK,
+    ELLIPSE,
+    ELLIPSOID,
+    ELLIPTICAL_AREA,
+    POWER,
+    RADIANCE,
+    SPHERE,
+)
 from ..plugins.shape import as_disk
 
 # Instead of the name of a strategy: Mitsuba's own emitter
@@ -196,6 +205,32 @@ def _make_built_in(lamp: Pair) -> None:
         )
     if lamp.shape.props.plugin_name() == ELLIPSE:
         lamp.shape.props = as_disk(lamp.shape.props)
+    if POWER in lamp.emitter.props:
+        lamp.emitter.props[RADIANCE] = _radiance(lamp)
+        del lamp.emitter.props[POWER]
     lamp.emitter.props.set_plugin_name(AREA)
     if "sampling" in lamp.emitter.props:
         del lamp.emitter.props["sampling"]
+
+
+def _radiance(lamp: Pair) -> Any:
+    """Return the radiance of a lamp with a power, on a shape of Mitsuba's own: power / (π area)."""
+    shape = mi.Properties(lamp.shape.props)
+    for name, value in lamp.shape.props.items():
+        if isinstance(value, mi.Properties.ResolvedReference):
+            del shape[name]
+    built: Any = mi.PluginManager.instance().create_object(shape)
+    factor = 1 / (np.pi * float(np.ravel(np.array(built.surface_area()))[0]))
+    power = lamp.emitter.props[POWER]
+    if isinstance(power, float | int):
+        return power * factor
+    if isinstance(power, mi.ScalarColor3d):
+        return power * factor
+    if hasattr(power, "wavelengths"):
+        values = [value * factor for value in power.values]
+        uniform = power.is_uniform()
+        return type(power)(*values) if uniform else type(power)(power.wavelengths, values)
+    raise ValueError(
+        f'{lamp.name}: sampling="{BUILT_IN}" is not possible for a {POWER} that a plugin gives;'
+        f" write it as <float>, <rgb> or <spectrum>, or give the {RADIANCE}"
+    )

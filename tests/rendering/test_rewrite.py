@@ -106,6 +106,39 @@ def test_built_in_is_the_scene_with_area_and_disk(scene_file):
     )
 
 
+@pytest.mark.parametrize("mode", ["llvm_ad_rgb", "llvm_ad_spectral"])
+@pytest.mark.parametrize(
+    ("form", "power"),
+    [
+        ('<float name="{}" value="{}"/>', [3]),
+        ('<rgb name="{}" value="{}, {}, {}"/>', [3, 2, 1]),
+        ('<spectrum name="{}" value="{}"/>', [3]),
+        ('<spectrum name="{}" value="400:{}, 700:{}"/>', [3, 2]),
+    ],
+)
+def test_built_in_has_the_power_of_the_lamp(scene_file, mode, form, power):
+    """Its area is π · 0.5 · 1.5 · 2 · 0.5, and that of the sphere 4π · 0.04."""
+    mi.set_variant(mode)
+    shapes = {"ellipse": np.pi * 0.75, "sphere": 4 * np.pi * 0.04}
+    texts = []
+    for name in ("power", "radiance"):
+        text = OWN[: OWN.index('<shape type="disk"')] + OWN[OWN.index('<shape type="sphere"') :]
+        for shape, area in shapes.items():
+            values = np.array(power) / (1 if name == "power" else np.pi * area)
+            start = text.index('"ellipticalarea"', text.index(f'"{shape}"'))
+            end = start + text[start:].index(">")
+            closed = text[end - 1] == "/"
+            emission = form.format(name, *values)
+            new = f'"ellipticalarea">{emission}' + ("</emitter>" if closed else "")
+            text = text[:start] + new + text[end + 1 :]
+        texts.append(text)
+    pictures = [
+        picture(load_scene(write_scene(scene_file, text), sampling="built-in"), 4) for text in texts
+    ]
+    np.testing.assert_allclose(pictures[0], pictures[1], rtol=1e-4, atol=1e-6)
+    assert pictures[0].max() > 0.01
+
+
 def test_conversion_and_built_in_undo_each_other(scene_file):
     write_scene(scene_file, BUILT_IN)
     scene = load_scene(scene_file, sampling="built-in", convert_lamps=True)
@@ -130,6 +163,8 @@ def test_choice_by_lamp(scene_file, sampling, expected):
     assert choices(load_scene(scene_file, sampling=sampling)) == expected
 
 
+POWERED = """<shape type="disk" id="lamp"><emitter type="ellipticalarea">
+    <spectrum type="d65" name="power"/></emitter></shape>"""
 ELLIPSOID = '<shape type="ellipsoid" id="egg"><emitter type="ellipticalarea"/></shape>'
 
 
@@ -142,6 +177,7 @@ ELLIPSOID = '<shape type="ellipsoid" id="egg"><emitter type="ellipticalarea"/></
         (OWN, "sun=solid", ['"solid"', "known are: area, "]),
         (ELLIPSOID, "built-in", ["egg", '"ellipsoid"', "no such shape"]),
         (ELLIPSOID.replace('id="egg"', ""), "egg=area", ["none of its lamps has an id"]),
+        (POWERED, "built-in", ["lamp: ", "power that a plugin gives", "<rgb>"]),
         (BUILT_IN, "area", ['no "ellipticalarea"', "--convert-lamps", "ceiling, shining, bulb"]),
     ],
 )
