@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from . import cone
 from .cone import Cone, Confocal
@@ -126,6 +127,18 @@ class Ellipsoid(SemiAxes):
     def flatness32(self) -> mi.Float:
         """The flatness in single precision."""
         return mi.Float(self.flatness)
+
+    @property
+    def area(self) -> mi.Float:
+        """Surface area in world units, from values that are known.
+
+        ``4π R_G(a²b², a²c², b²c²)`` with the symmetric elliptic integral of the second kind (B. C.
+        Carlson, *Numerical computation of real or complex elliptic integrals*, 1995).
+        """
+        from scipy.special import elliprg  # Slow to import, and seldom needed
+
+        b, c, a = (np.array(v, dtype=float) for v in (self.ratio, self.flatness, self.lx))
+        return mi.Float(4 * np.pi * a**2 * elliprg(b**2, c**2, (b * c) ** 2))
 
     def light_coordinates(self, reference: mi.Point3f) -> mi.Vector3d:
         """Vector from a world-space point to the centre, along ``(ex, ey, ez)`` in units of lx."""

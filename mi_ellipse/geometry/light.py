@@ -78,6 +78,10 @@ class Light(Protocol):
 
     planar: ClassVar[bool]  # An ellipse, with principal coordinates; else a solid
 
+    @property
+    def area(self) -> mi.Float:
+        """Surface area in world units: one side of an ellipse, the outside of a solid."""
+
     def stored(self) -> StoredLight:
         """Return what a lamp keeps."""
 

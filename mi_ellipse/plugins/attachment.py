@@ -43,7 +43,8 @@ class Attachment:
             sample one like it.
         """
         try:
-            self.lamp.place(_light(shape))
+            light = _light(shape)
+            self.lamp.place(light, _area(shape, light) if self.lamp.is_power else None)
             self._error = None
         except ValueError as error:
             self._error = f"{ELLIPTICAL_AREA}: {error}"
@@ -100,6 +101,12 @@ def _light(shape: mi.Shape | None) -> Light:
     if reader is None:
         raise ValueError(_misplaced(f"a {shape.class_name()}"))
     return reader(shape)
+
+
+def _area(shape: mi.Shape, light: Light) -> mi.Float:
+    """Surface area of a light: its value as exact as the light, its gradient that of the shape."""
+    area, followed = light.area, shape.surface_area()
+    return dr.replace_grad(area, followed) if dr.grad_enabled(followed) else area
 
 
 def _of_disk(shape: mi.Shape) -> Light:

@@ -38,12 +38,20 @@ def create_ellipse(props: mi.Properties) -> mi.Shape:
     ValueError
         If a semi-axis is not positive and finite, or the transform is not invertible.
     """
-    to_world = _composed(props, ELLIPSE, "xy")
-    disk_props = _without(props, "semi_axis_x", "semi_axis_y")
-    disk = _built_in(DISK, disk_props, to_world)
+    disk_props = as_disk(props)
+    disk = mi.PluginManager.instance().create_object(disk_props)
     _mark_queried(props, disk_props)
     attach(disk)
     return disk
+
+
+def as_disk(props: mi.Properties) -> mi.Properties:
+    """Return the properties of the `disk` that an `ellipse` is; errors as `create_ellipse`."""
+    to_world = _composed(props, ELLIPSE, "xy")
+    disk_props = _without(props, "semi_axis_x", "semi_axis_y")
+    disk_props.set_plugin_name(DISK)
+    disk_props["to_world"] = to_world
+    return disk_props
 
 
 def create_ellipsoid(props: mi.Properties) -> mi.Shape:
