@@ -8,6 +8,7 @@ import typer
 
 from .. import __version__
 from . import compare, doctor, render, report
+from .process import plain_log
 
 app = typer.Typer(
     help="Exact elliptical lights for Mitsuba 3.",
@@ -34,6 +35,7 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def _options(
+    context: typer.Context,
     version: Annotated[
         bool,
         typer.Option(
@@ -41,4 +43,5 @@ def _options(
         ),
     ] = False,
 ) -> None:
-    """Take the options that stand before a command."""
+    """Take the options that stand before a command, and set up what all commands share."""
+    context.with_resource(plain_log())

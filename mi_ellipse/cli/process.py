@@ -6,7 +6,9 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
+import mitsuba as mi
 import typer
 
 from ..system.messages import innermost_cause
@@ -35,3 +37,37 @@ def interrupt_ends_process() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def plain_log() -> Iterator[None]:
+    """
+    Let Mitsuba write what it has to say to stderr, a line each and without colours.
+
+    Its own way is red letters and dates on stdout, where pipes and files take the results from.
+    """
+    # Mitsuba's stubs take `mi.logger` for an object.
+    logger: Any = vars(mi)["logger"]()
+    before = [logger.appender(i) for i in range(logger.appender_count())]
+    logger.clear_appenders()
+    logger.add_appender(_Plain())
+    try:
+        yield
+    finally:
+        logger.clear_appenders()
+        for appender in before:
+            logger.add_appender(appender)
+
+
+class _Plain(mi.Appender):
+    """Write messages as plain lines."""
+
+    def append(self, level: mi.LogLevel, text: str) -> None:
+        """Write a message without its date: "WARN  [MultijitterSampler] …"."""
+        _, _, message = text.partition(f" {level.name.upper()} ")
+        print(f"{level.name.upper()}: {' '.join((message or text).split())}", file=sys.stderr)
+
+    def log_progress(
+        self, progress: float, name: str, formatted: str, eta: str, ptr: object = None
+    ) -> None:
+        """Leave out Mitsuba's own progress bars."""

@@ -13,6 +13,7 @@ from ..files import atomic, images
 from ..rendering import provenance
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import Plan, Rendering, RenderJob
+from ..rendering.scene import check_scene_file
 from .options import (
     DEFAULT_VARIANT,
     Definitions,
@@ -48,12 +49,13 @@ def run(
 ) -> None:
     """Render a scene to an OpenEXR file, and a PNG beside it for a quick look."""
     parameters = parse_definitions(definitions)
-    exr = output or Path(scene_file.with_suffix(".exr").name)
-    png = exr.with_suffix(".png")
 
     with one_line_errors():
+        check_scene_file(scene_file)
+        exr = output or Path(f"{scene_file.stem}.exr")
         if exr.suffix.lower() != ".exr":
             raise ValueError(f"{exr}: the output is an OpenEXR file, and its name ends in .exr")
+        png = exr.with_suffix(".png")
         for file in (exr, png):
             _check_writable(file)
         job = RenderJob(scene_file, parameters, variant, sampling, spp, seed, grouping=grouping)

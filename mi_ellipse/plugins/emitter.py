@@ -6,6 +6,7 @@ from importlib import import_module
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from ..lamps.group import Group
 from ..lamps.lamp import Lamp
@@ -14,6 +15,8 @@ from ..sampling import DEFAULT, STRATEGIES
 from ..system import llvm
 from .attachment import Attachment
 from .names import ELLIPTICAL_AREA
+
+SOME_WAVELENGTHS = (450, 520, 580, 640)  # in nm, at which the sign of a spectrum is looked at
 
 # What Python adds to every class
 NOT_OWN = ("__dict__", "__weakref__")
@@ -170,6 +173,7 @@ def _parameters(props: mi.Properties) -> tuple[mi.Texture, str]:
             "shape, put it there"
         )
     radiance = props.get_emissive_texture("radiance", 1.0)
+    _check_radiance(radiance)
     sampling = props.get("sampling", DEFAULT)
     if sampling not in STRATEGIES:
         raise ValueError(
@@ -177,6 +181,24 @@ def _parameters(props: mi.Properties) -> tuple[mi.Texture, str]:
             + ", ".join(STRATEGIES)
         )
     return radiance, sampling
+
+
+def _check_radiance(radiance: mi.Texture) -> None:
+    """Refuse a uniform radiance that is no light.
+
+    Mitsuba itself brings spectra outside the gamut of RGB back into it. Texels may be negative,
+    since filters make some of them so. Spectral variants turn RGB into a spectrum, which hides a
+    negative component.
+    """
+    if radiance.is_spatially_varying():
+        return
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    if mi.is_spectral:
+        si.wavelengths = type(si.wavelengths)(SOME_WAVELENGTHS)
+    values = np.ravel(radiance.eval(si))
+    if not (np.isfinite(values) & (values >= 0)).all():
+        shown = ", ".join(f"{value:g}" for value in values)
+        raise ValueError(f"{ELLIPTICAL_AREA}: radiance={shown} must be finite and not negative")
 
 
 def _base(emitter: EllipticalArea) -> mi.Emitter:

@@ -16,11 +16,12 @@ import mitsuba as mi
 from ..plugins.grouping import group_lamps
 from . import passes, provenance
 from .passes import Progress, Rendering, Timing
-from .scene import ParsedScene, instantiate, parse_scene
+from .scene import ParsedScene, instantiate, parse_scene, set_variant
 
 __all__ = ["Parameters", "Plan", "RenderJob", "Rendering", "Stage", "Timing"]
 
 MAX_SEED = 2**32 - 1
+MAX_SPP = 2**32 - 1  # that a sampler of Mitsuba can count
 
 
 class Parameters(Mapping[str, str]):
@@ -88,8 +89,8 @@ class RenderJob:
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", Path(self.scene))
         object.__setattr__(self, "parameters", Parameters(self.parameters))
-        if self.spp is not None and self.spp < 1:
-            raise ValueError(f"spp={self.spp}: a picture needs at least 1 sample per pixel")
+        if self.spp is not None and not 1 <= self.spp <= MAX_SPP:
+            raise ValueError(f"spp={self.spp}: samples per pixel are from 1 to {MAX_SPP}")
         if not 0 <= self.seed <= MAX_SEED:
             raise ValueError(f"seed={self.seed}: a seed lies from 0 to {MAX_SEED}")
 
@@ -194,7 +195,7 @@ def _staged(job: RenderJob) -> Iterator[_Loaded]:
     """Give the loaded scene of a job, and set its variant meanwhile."""
     stage = _current.get()
     before = mi.variant()
-    mi.set_variant(job.variant)
+    set_variant(job.variant)
     try:
         if stage is not None:
             yield stage.load(job)

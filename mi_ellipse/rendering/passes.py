@@ -20,6 +20,9 @@ from numpy.typing import NDArray
 # less than 2 MiB from 4 to 34 million samples). The film, 12 bytes a pixel, cannot be split.
 MAX_SAMPLES_PER_PASS = 2**32 - 1
 
+# Twelve days where a pass takes a second; more would fill the memory with plans.
+MAX_PASSES = 2**20
+
 
 # Called after each pass with the number of passes done and their total
 Progress = Callable[[int, int], None]
@@ -82,10 +85,11 @@ def plan_passes(
     sensor = _sensor(scene)
     sampler = sensor.sampler()
     spp = sampler.sample_count() if spp is None else spp
+    pixels = _count_pixels(sensor.film())
     if not _is_vectorized():
         return (_feasible_count(sampler, spp),)
 
-    limit = max_samples // _count_pixels(sensor.film())
+    limit = max_samples // pixels
     if limit == 0:
         raise ValueError(f"one sample for every pixel is more than {max_samples} samples")
 
@@ -95,7 +99,17 @@ def plan_passes(
     passes = math.ceil(spp / _feasible_count(sampler, largest))
     size = _feasible_count(sampler, math.ceil(spp / passes))
     passes = math.ceil(spp / size)
+    check_pass_count(spp, passes)
     return (size,) * (passes - 1) + (_feasible_count(sampler, spp - size * (passes - 1)),)
+
+
+def check_pass_count(spp: int, passes: int) -> None:
+    """Raise a ValueError for a number of passes that nobody can wait for."""
+    if passes > MAX_PASSES:
+        raise ValueError(
+            f"spp={spp}: so many samples per pixel need {passes} passes, and at most {MAX_PASSES}"
+            " are possible; take fewer, or a smaller picture"
+        )
 
 
 def loses_stratification(scene: mi.Scene, passes: int) -> bool:

@@ -10,6 +10,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 
 from .. import sampling as strategies
@@ -56,6 +57,25 @@ class ParsedScene:
         return found
 
 
+def set_variant(variant: str) -> None:
+    """
+    Set Mitsuba's variant.
+
+    Raises
+    ------
+    ValueError
+        If it needs a GPU that Dr.Jit cannot use here.
+    ImportError
+        From Mitsuba, if there is no such variant.
+    """
+    if variant.startswith("cuda") and not dr.has_backend(dr.JitBackend.CUDA):
+        raise ValueError(
+            f"variant={variant}: Dr.Jit finds no NVIDIA GPU here; choose one that starts with llvm"
+            " or scalar"
+        )
+    mi.set_variant(variant)
+
+
 def load_scene(
     path: str | PathLike[str],
     parameters: Mapping[str, str] | None = None,
@@ -78,11 +98,18 @@ def load_scene(
     ------
     ValueError
         If an ``ellipticalarea`` belongs to no shape, if `sampling` is unknown, if it is given but
-        the scene has no ``ellipticalarea``, or if the file holds something other than a scene.
+        the scene has no ``ellipticalarea``, if a film has no pixels, or if the file holds
+        something other than a scene or is a folder.
     RuntimeError
         From Mitsuba, for everything that is wrong with the file itself.
     """
     return instantiate(parse_scene(path, parameters), sampling)
+
+
+def check_scene_file(path: Path) -> None:
+    """Raise a ValueError for a folder; Mitsuba says itself that a file does not exist."""
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder, and not the XML file of a scene")
 
 
 def parse_scene(
@@ -94,6 +121,7 @@ def parse_scene(
     Parameters and errors are those of :func:`load_scene`.
     """
     path = Path(path)
+    check_scene_file(path)
     config = mi.parser.ParserConfig(mi.variant() or "")
     with _files_found_beside(path):
         state = mi.parser.parse_file(config, str(path), **(parameters or {}))
@@ -108,6 +136,7 @@ def instantiate(parsed: ParsedScene, sampling: str | None = None) -> mi.Scene:
     """
     state = mi.parser.ParserState(parsed.state)
     with _files_found_beside(parsed.path):
+        _refuse_empty_films(state)
         _refuse_detached_lamps(parsed.config, state)
         if sampling is not None:
             _choose_sampling(state, sampling)
@@ -132,6 +161,16 @@ def _choose_sampling(state: mi.parser.ParserState, sampling: str) -> None:
         )
     for lamp in lamps:
         state.nodes[lamp].props["sampling"] = sampling
+
+
+def _refuse_empty_films(state: mi.parser.ParserState) -> None:
+    """Raise an error for a film without pixels, which Mitsuba takes for a wrong field of view."""
+    for node in state.nodes:
+        if node.type == mi.ObjectType.Film:
+            for side in ("width", "height"):
+                if side in node.props and node.props[side] == 0:
+                    location = mi.parser.file_location(state, node)
+                    raise ValueError(f"{location}: {side}=0, but a film needs at least 1 pixel")
 
 
 def _refuse_detached_lamps(config: mi.parser.ParserConfig, state: mi.parser.ParserState) -> None:

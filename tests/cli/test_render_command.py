@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -165,6 +166,8 @@ def assert_fails_in_one_line(result, *words):
         (["-o", "folder.exr"], ["cannot write folder.exr", "folder"]),
         (["-o", "blocked.exr"], ["cannot write blocked.png"]),
         (["-o", "out.png"], ["out.png", ".exr"]),
+        (["-o", ""], ["OpenEXR"]),
+        (["--spp", "99999999999999999999"], ["spp=99999999999999999999", "4294967295"]),
     ],
 )
 def test_wrong_options(scene_file, options, words):
@@ -179,6 +182,51 @@ def test_wrong_options(scene_file, options, words):
 def test_output_is_tried_before_rendering(scene_file, monkeypatch):
     monkeypatch.setattr(job, "parse_scene", lambda *_: pytest.fail("began to work"))
     assert_fails_in_one_line(invoke("render", scene_file, "-o", "/proc/out.exr"), "/proc/out.exr")
+
+
+@pytest.mark.parametrize("name", [".", ""])
+def test_scene_that_is_a_folder(scene_file, name):
+    assert_fails_in_one_line(invoke("render", name), ". is a folder", "XML file")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "options", "words"),
+    [
+        (f'value="{WIDTH}"', 'value="0"', [], ["scene.xml (line", "width=0", "1 pixel"]),
+        (f'value="{WIDTH}"', 'value="400000"', ["--spp", 2**32 - 1], ["spp=4294967295", "passes"]),
+        ('<string name="sampling"', '<rgb name="radiance" value="1,-2,1"/>\\g<0>', [],
+         ["radiance=1, -2, 1", "not negative"]),
+        ('<string name="sampling"', '<rgb name="radiance" value="nan"/>\\g<0>', [],
+         ["radiance=nan", "finite"]),
+    ],
+)  # fmt: skip
+def test_scene_that_cannot_be_rendered(scene_file, before, after, options, words):
+    scene_file.write_text(re.sub(before, after, scene_file.read_text(), count=1))
+    assert_fails_in_one_line(invoke("render", scene_file, *options), *words)
+    assert files(scene_file.parent) == ["scene.xml"]
+
+
+@pytest.mark.skipif(dr.has_backend(dr.JitBackend.CUDA), reason="needs a machine without a GPU")
+def test_variant_that_needs_a_gpu(scene_file):
+    result = invoke("render", scene_file, "--variant", "cuda_ad_rgb")
+    assert_fails_in_one_line(result, "variant=cuda_ad_rgb", "GPU", "llvm")
+    assert mi.variant() == "llvm_ad_rgb"
+
+
+def test_words_of_mitsuba_are_plain_lines_on_stderr(scene_file, monkeypatch):
+    original = passes.render
+
+    def warning(*arguments):
+        mi.Log(mi.LogLevel.Warn, "two\nlines")
+        return original(*arguments)
+
+    monkeypatch.setattr(passes, "render", warning)
+    result = invoke("render", scene_file)
+    said = [line for line in result.stderr.splitlines() if "two lines" in line]
+    assert len(said) == 1
+    assert said[0].startswith("WARN: ")
+    assert "\x1b" not in result.output
+    assert "two" not in result.stdout
 
 
 def test_missing_scene_file(scene_file):
