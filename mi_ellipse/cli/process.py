@@ -1,10 +1,13 @@
-"""How a command ends: with one line for an error, and at once for Ctrl-C."""
+"""How a command ends: with one line for an error, and for Ctrl-C at once or after a pass."""
 
 from __future__ import annotations
 
+import os
 import signal
+import socket
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -12,6 +15,8 @@ import mitsuba as mi
 import typer
 
 from ..system.messages import innermost_cause
+
+INTERRUPTED = 128 + signal.SIGINT  # Exit code, as shells have it
 
 
 @contextmanager
@@ -37,6 +42,46 @@ def interrupt_ends_process() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def interrupt_ends_pass(say: Callable[[str], None]) -> Iterator[Callable[[], bool]]:
+    """
+    Give a function that tells whether Ctrl-C was pressed; a second one ends the process at once.
+
+    A thread waits for the signal, since Python calls handlers only between passes. Dr.Jit lets
+    other threads run while it renders.
+
+    Parameters
+    ----------
+    say
+        Called with a sentence for the user at the first Ctrl-C.
+    """
+    pressed = threading.Event()
+    end, start = socket.socketpair()
+    start.setblocking(False)
+
+    def wait() -> None:
+        while number := end.recv(1):
+            if number[0] != signal.SIGINT:
+                continue
+            if pressed.is_set():
+                os._exit(INTERRUPTED)
+            pressed.set()
+            say("Ends after this pass; Ctrl-C again ends at once and keeps nothing.")
+
+    handler = signal.signal(signal.SIGINT, lambda *_: None)
+    descriptor = signal.set_wakeup_fd(start.fileno())
+    thread = threading.Thread(target=wait, daemon=True)
+    thread.start()
+    try:
+        yield pressed.is_set
+    finally:
+        signal.set_wakeup_fd(descriptor)
+        signal.signal(signal.SIGINT, handler)
+        start.close()
+        thread.join()
+        end.close()
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -10,9 +11,10 @@ import typer
 from rich.console import Console
 
 from ..files import atomic, images
-from ..rendering import provenance
+from ..rendering import partial, provenance
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import Plan, Rendering, RenderJob
+from ..rendering.passes import Finished, Stop
 from ..rendering.scene import check_scene_file
 from .options import (
     DEFAULT_VARIANT,
@@ -23,7 +25,7 @@ from .options import (
     Variant,
     parse_definitions,
 )
-from .process import interrupt_ends_process, one_line_errors
+from .process import INTERRUPTED, interrupt_ends_pass, interrupt_ends_process, one_line_errors
 from .progress import passes_bar
 
 
@@ -45,6 +47,14 @@ def run(
         bool, typer.Option("--half", help="Store half instead of single precision.")
     ] = False,
     grouping: Grouping = True,
+    keep_partial: Annotated[
+        bool,
+        typer.Option(
+            "--keep-partial",
+            help="Let Ctrl-C end the render after a pass and write what is finished. The same"
+            " command continues it.",
+        ),
+    ] = False,
     definitions: Definitions = None,
 ) -> None:
     """Render a scene to an OpenEXR file, and a PNG beside it for a quick look."""
@@ -58,36 +68,67 @@ def run(
         png = exr.with_suffix(".png")
         for file in (exr, png):
             _check_writable(file)
-        job = RenderJob(scene_file, parameters, variant, sampling, spp, seed, grouping=grouping)
-        with interrupt_ends_process():
-            rendering = _render(job)
-
+        job = RenderJob(
+            scene_file,
+            parameters,
+            variant,
+            sampling,
+            spp,
+            seed,
+            grouping=grouping,
+            short_passes=True,
+        )
+        plan, rendering = _render(job, exr, keep_partial)
         exposure = images.choose_exposure(rendering.image)
-        settings: images.Metadata = {
-            **provenance.describe(job, rendering),
-            "png_exposure_stops": exposure,
-        }
-        if half and not images.fits_half(rendering.image):
-            # After hours of rendering, an error would come too late.
-            print("Stored in single precision: half precision ends at 65504.", file=sys.stderr)
-            half = False
-        images.write_exr(exr, rendering.image, settings, rendering.channels, half)
+        if rendering.unfinished is not None:
+            partial.write(exr, job, plan, rendering)
+        else:
+            _write_exr(exr, job, rendering, exposure, half)
         images.write_png(png, rendering.image, exposure)
 
     print(
         f"{exr} and {png} ({exposure:+g} stops): {rendering.spp} spp,"
         f" {_count(rendering.passes, 'pass', 'passes')}, {rendering.seconds:.1f} s"
     )
+    if rendering.unfinished is not None:
+        print(
+            f"Interrupted: {rendering.spp} of {plan.spp} samples per pixel are in the file. The"
+            " same command continues from there.",
+            file=sys.stderr,
+        )
+        raise typer.Exit(INTERRUPTED)
 
 
-def _render(job: RenderJob) -> Rendering:
-    """Render with a progress bar, and say what the user would not expect."""
+def _write_exr(
+    exr: Path, job: RenderJob, rendering: Rendering, exposure: float, half: bool
+) -> None:
+    settings: images.Metadata = {
+        **provenance.describe(job, rendering),
+        "png_exposure_stops": exposure,
+    }
+    if half and not images.fits_half(rendering.image):
+        # After hours of rendering, an error would come too late.
+        print("Stored in single precision: half precision ends at 65504.", file=sys.stderr)
+        half = False
+    images.write_exr(exr, rendering.image, settings, rendering.channels, half)
+
+
+def _render(job: RenderJob, exr: Path, keep_partial: bool) -> tuple[Plan, Rendering]:
+    """Render what the file does not hold yet, and say what the user would not expect."""
     console = Console(stderr=True)
-    with LocalExecutor() as executor:
+    with ExitStack() as stack:
+        stack.enter_context(interrupt_ends_process())
+        executor = stack.enter_context(LocalExecutor())
         plan = executor.submit(job.plan).result()
-        _announce(job, plan, console)
-        with passes_bar(console, len(plan.sizes)) as progress:
-            rendering = executor.submit(job.run, progress).result()
+        before = partial.read(exr, job, plan)
+        _announce(job, plan, before, console)
+        stop: Stop = lambda: False  # noqa: E731
+        if keep_partial and len(plan.sizes) > 1:
+            stop = stack.enter_context(interrupt_ends_pass(console.print))
+        elif keep_partial:
+            console.print("Rendering in one pass: Ctrl-C ends at once and keeps nothing.")
+        progress = stack.enter_context(passes_bar(console, len(plan.sizes), before.passes))
+        rendering = executor.submit(job.run, progress, before, stop).result()
 
     if rendering.invalid_pixels:
         console.print(
@@ -95,10 +136,12 @@ def _render(job: RenderJob) -> Rendering:
             " (black in the PNG).",
             style="bold red",
         )
-    return rendering
+    return plan, rendering
 
 
-def _announce(job: RenderJob, plan: Plan, console: Console) -> None:
+def _announce(job: RenderJob, plan: Plan, before: Finished, console: Console) -> None:
+    if before.passes:
+        console.print(f"Continued from {before.spp} of {plan.spp} samples per pixel.")
     if job.spp is not None and plan.spp != job.spp:
         console.print(f"The scene's sampler makes {plan.spp} samples per pixel of {job.spp}.")
     if plan.loses_stratification:

@@ -15,7 +15,7 @@ import mitsuba as mi
 
 from ..plugins.grouping import group_lamps
 from . import passes, provenance
-from .passes import Progress, Rendering, Timing
+from .passes import MAX_SAMPLES_PER_PASS, NOTHING, Finished, Progress, Rendering, Stop, Timing
 from .scene import ParsedScene, instantiate, parse_scene, set_variant
 
 __all__ = ["Parameters", "Plan", "RenderJob", "Rendering", "Stage", "Timing"]
@@ -53,6 +53,7 @@ class Plan:
     sizes: tuple[int, ...]  # samples per pixel of each pass
     film_size: tuple[int, int]  # width and height in pixels, of the part that is rendered
     loses_stratification: bool  # the passes are noisier together than a single one
+    scene_digest: str  # see `provenance.scene_digest`
 
     @property
     def spp(self) -> int:
@@ -84,6 +85,7 @@ class RenderJob:
     # Render once beforehand, unless a job has done so since the scene was loaded. It compiles the
     # kernel, which is the same for every number of samples.
     warm_up: bool = False
+    short_passes: bool = False  # of about a second each, see `passes.plan_passes`
     grouping: bool = True  # Two or more lamps choose among themselves; False: Mitsuba's choice
 
     def __post_init__(self) -> None:
@@ -97,12 +99,17 @@ class RenderJob:
     def plan(self) -> Plan:
         """Load the scene, if it is not there yet, and tell how the job will be rendered."""
         with _staged(self) as loaded:
-            sizes = passes.plan_passes(loaded.scene, self.spp)
+            sizes = passes.plan_passes(loaded.scene, self.spp, short=self.short_passes)
             width, height = loaded.scene.sensors()[0].film().crop_size()
             loses = passes.loses_stratification(loaded.scene, len(sizes))
-            return Plan(sizes, (int(width), int(height)), loses)
+            return Plan(sizes, (int(width), int(height)), loses, loaded.digest)
 
-    def run(self, progress: Progress | None = None) -> Rendering:
+    def run(
+        self,
+        progress: Progress | None = None,
+        before: Finished = NOTHING,
+        stop: Stop = lambda: False,
+    ) -> Rendering:
         """
         Render; errors are those of :func:`mi_ellipse.rendering.scene.load_scene` and of Mitsuba.
 
@@ -110,6 +117,10 @@ class RenderJob:
         ----------
         progress
             Called after each pass with the number of passes done and their total.
+        before
+            Passes of the same job that are finished already.
+        stop
+            Asked after each pass whether the render shall end there.
 
         Raises
         ------
@@ -119,7 +130,16 @@ class RenderJob:
         with _staged(self) as loaded:
             if self.warm_up and loaded.warm_up is None:
                 loaded.warm_up = passes.render(loaded.scene, self.spp, self.seed).timing
-            rendering = passes.render(loaded.scene, self.spp, self.seed, progress)
+            rendering = passes.render(
+                loaded.scene,
+                self.spp,
+                self.seed,
+                progress,
+                MAX_SAMPLES_PER_PASS,
+                self.short_passes,
+                before,
+                stop,
+            )
             return dataclasses.replace(
                 rendering,
                 warm_up=loaded.warm_up if self.warm_up else None,

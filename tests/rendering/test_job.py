@@ -51,7 +51,7 @@ def test_a_job_is_a_value(scene_file):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"spp": 0}, "spp=0: .* at least 1"),
+        ({"spp": 0}, "spp=0: .* from 1 to"),
         ({"seed": -1}, "seed=-1: .* from 0 to 4294967295"),
         ({"seed": 2**32}, "seed=4294967296"),
     ],
