@@ -24,6 +24,8 @@ def one_line_errors() -> Iterator[None]:
     """Turn an exception into one line on stderr and exit code 1."""
     try:
         yield
+    except typer.Exit:
+        raise
     except Exception as error:
         print(f"mi-ellipse: {innermost_cause(error)}", file=sys.stderr)
         raise typer.Exit(1) from error

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
+from urllib.parse import quote
 
 import typer
 from rich.console import Console
@@ -15,18 +17,24 @@ from ..rendering import partial, provenance
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import Plan, Rendering, RenderJob
 from ..rendering.passes import Finished, Stop
-from ..rendering.scene import check_scene_file
+from ..rendering.scene import check_scene_file, parse_scene, set_variant
 from .options import (
     DEFAULT_VARIANT,
+    ConvertLamps,
     Definitions,
     Grouping,
+    Integrator,
+    Resolution,
     SceneFile,
     Seed,
     Variant,
+    parse_changes,
     parse_definitions,
 )
 from .process import INTERRUPTED, interrupt_ends_pass, interrupt_ends_process, one_line_errors
 from .progress import passes_bar
+
+ALL = "all"  # Instead of the id of a sensor
 
 
 def run(
@@ -39,7 +47,12 @@ def run(
         int | None, typer.Option(min=1, help="Samples per pixel; by default the scene's.")
     ] = None,
     sampling: Annotated[
-        str | None, typer.Option(help="Sampling strategy of every `ellipticalarea`.")
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Sampling strategy of every `ellipticalarea`, or ID=NAME,… for single ones by"
+            " their ids. The names stand below.",
+        ),
     ] = None,
     variant: Variant = DEFAULT_VARIANT,
     seed: Seed = 0,
@@ -47,6 +60,17 @@ def run(
         bool, typer.Option("--half", help="Store half instead of single precision.")
     ] = False,
     grouping: Grouping = True,
+    convert_lamps: ConvertLamps = False,
+    sensor: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ID",
+            help="Sensor by its id or its number, from 0, or `all`: a picture for each, with the"
+            " sensor in its name. By default the first.",
+        ),
+    ] = None,
+    integrator: Integrator = None,
+    resolution: Resolution = None,
     keep_partial: Annotated[
         bool,
         typer.Option(
@@ -59,15 +83,13 @@ def run(
 ) -> None:
     """Render a scene to an OpenEXR file, and a PNG beside it for a quick look."""
     parameters = parse_definitions(definitions)
+    changes = parse_changes(convert_lamps, sensor, integrator, resolution)
 
     with one_line_errors():
         check_scene_file(scene_file)
         exr = output or Path(f"{scene_file.stem}.exr")
         if exr.suffix.lower() != ".exr":
             raise ValueError(f"{exr}: the output is an OpenEXR file, and its name ends in .exr")
-        png = exr.with_suffix(".png")
-        for file in (exr, png):
-            _check_writable(file)
         job = RenderJob(
             scene_file,
             parameters,
@@ -75,17 +97,44 @@ def run(
             sampling,
             spp,
             seed,
-            grouping=grouping,
             short_passes=True,
+            grouping=grouping,
+            changes=changes,
         )
-        plan, rendering = _render(job, exr, keep_partial)
-        exposure = images.choose_exposure(rendering.image)
-        if rendering.unfinished is not None:
-            partial.write(exr, job, plan, rendering)
-        else:
-            _write_exr(exr, job, rendering, exposure, half)
-        images.write_png(png, rendering.image, exposure)
+        jobs = _for_each_sensor(job, exr) if sensor == ALL else {exr: job}
+        for file in jobs:
+            _check_writable(file)
+            _check_writable(file.with_suffix(".png"))
+        for file, one in jobs.items():
+            _make_picture(one, file, half, keep_partial)
 
+
+def _for_each_sensor(job: RenderJob, exr: Path) -> dict[Path, RenderJob]:
+    """Return a job for each sensor of a scene, and where its picture goes."""
+    set_variant(job.variant)
+    jobs = {}
+    for number, name in enumerate(parse_scene(job.scene, job.parameters).sensors()):
+        # An id can hold characters that no file name may.
+        file = exr.with_name(f"{exr.stem}_{quote(name, safe='')}{exr.suffix}")
+        if file in jobs:  # The id of one sensor is the number of another one.
+            file = exr.with_name(f"{exr.stem}_number_{number}{exr.suffix}")
+        changes = dataclasses.replace(job.changes, sensor=str(number))
+        jobs[file] = dataclasses.replace(job, changes=changes)
+    if not jobs:
+        raise ValueError(f"{job.scene}: the scene has no sensor")
+    return jobs
+
+
+def _make_picture(job: RenderJob, exr: Path, half: bool, keep_partial: bool) -> None:
+    """Render, write the OpenEXR file and the PNG, and say so."""
+    png = exr.with_suffix(".png")
+    plan, rendering = _render(job, exr, keep_partial)
+    exposure = images.choose_exposure(rendering.image)
+    if rendering.unfinished is not None:
+        partial.write(exr, job, plan, rendering)
+    else:
+        _write_exr(exr, job, rendering, exposure, half)
+    images.write_png(png, rendering.image, exposure)
     print(
         f"{exr} and {png} ({exposure:+g} stops): {rendering.spp} spp,"
         f" {_count(rendering.passes, 'pass', 'passes')}, {rendering.seconds:.1f} s"
@@ -142,6 +191,16 @@ def _render(job: RenderJob, exr: Path, keep_partial: bool) -> tuple[Plan, Render
 def _announce(job: RenderJob, plan: Plan, before: Finished, console: Console) -> None:
     if before.passes:
         console.print(f"Continued from {before.spp} of {plan.spp} samples per pixel.")
+    if plan.conversion is not None:
+        console.print(str(plan.conversion), markup=False, highlight=False, soft_wrap=True)
+    if job.changes.sensor is None and len(plan.sensors) > 1:
+        console.print(
+            f"The scene has {len(plan.sensors)} sensors ({', '.join(plan.sensors)}), and the first"
+            " is rendered: --sensor chooses another one, or all.",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
     if job.spp is not None and plan.spp != job.spp:
         console.print(f"The scene's sampler makes {plan.spp} samples per pixel of {job.spp}.")
     if plan.loses_stratification:

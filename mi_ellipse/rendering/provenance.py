@@ -30,6 +30,7 @@ NOT_IN_A_PICTURE = (
     "cli/",
     "files/",
     "measures.py",
+    "rendering/converted_file.py",
     "rendering/partial.py",
     "rendering/provenance.py",
     "study/",
@@ -82,6 +83,10 @@ def scene_digest(path: str | PathLike[str], parameters: Mapping[str, str] | None
 def parsed_digest(parsed: ParsedScene) -> str:
     """Return the :func:`scene_digest` of a scene that has been parsed."""
     result = hashlib.sha256(mi.parser.write_string(parsed.state).encode())
+    # Mitsuba writes no id that nothing refers to, but a job can name a lamp by it.
+    for index, node in enumerate(parsed.state.nodes):
+        if node.props.id():
+            result.update(f"{index} {node.props.id()}\n".encode())
     for _, file in parsed.named_files():
         result.update(file.read_bytes())
     return result.hexdigest()
@@ -109,7 +114,8 @@ def describe(job: RenderJob, rendering: Rendering) -> dict[str, str]:
     Return the settings that made a picture, as texts for its metadata.
 
     ``sampling`` reads "as in the scene" where the job chose none; ``grouping`` is "yes" or "no",
-    see :func:`yes_or_no`; ``parameters`` is a JSON object;
+    see :func:`yes_or_no`; ``parameters`` is a JSON object; ``convert_lamps``, ``sensor``,
+    ``integrator`` and ``resolution`` tell the job's changes;
     ``scene_digest`` is that of :func:`scene_digest` for the scene that was rendered.
     """
     return {
@@ -129,6 +135,7 @@ def settings(job: RenderJob, digest: str) -> dict[str, str]:
         "variant": job.variant,
         "sampling": job.sampling or "as in the scene",
         "grouping": yes_or_no(job.grouping),
+        **job.changes.describe(),
         "parameters": json.dumps(dict(job.parameters)),
         **versions(),
     }

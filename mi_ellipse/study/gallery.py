@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from urllib.parse import quote
 
 import mitsuba as mi
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from ..files import images
 from ..files.images import Image
 from ..rendering import provenance
+from ..rendering.changes import UNCHANGED, Changes
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import Rendering, RenderJob, Timing
 from .kinds import split
@@ -28,7 +30,8 @@ class Task:
 
     @property
     def name(self) -> str:
-        return f"{self.sampling}_{self.spp}spp_seed{self.seed}"
+        """Name of its file; the id of a lamp can hold characters that no file name may."""
+        return f"{quote(self.sampling, safe='+=')}_{self.spp}spp_seed{self.seed}"
 
 
 @dataclass(frozen=True)
@@ -51,11 +54,18 @@ class Gallery:
     code, and the machine, since its times are kept with it.
     """
 
-    def __init__(self, folder: Path, scene_file: Path, parameters: Mapping[str, str]):
+    def __init__(
+        self,
+        folder: Path,
+        scene_file: Path,
+        parameters: Mapping[str, str],
+        changes: Changes = UNCHANGED,
+    ):
         self.folder = folder
         self.scene_file = scene_file
         self.parameters = dict(parameters)
-        self._settings = settings(scene_file, parameters)
+        self.changes = changes
+        self._settings = settings(scene_file, parameters, changes)
         self._settings |= {
             "picture_digest": provenance.picture_digest(),
             "machine": provenance.machine(),
@@ -116,6 +126,7 @@ class Gallery:
             task.seed,
             warm_up=True,
             grouping=grouping,
+            changes=self.changes,
         )
 
     def _file(self, task: Task) -> Path:
@@ -130,11 +141,14 @@ def variant() -> str:
     return str(current)
 
 
-def settings(scene_file: Path, parameters: Mapping[str, str]) -> dict[str, str]:
+def settings(
+    scene_file: Path, parameters: Mapping[str, str], changes: Changes = UNCHANGED
+) -> dict[str, str]:
     """Return what two pictures of a scene must have in common to be compared."""
     return {
         "scene_digest": provenance.scene_digest(scene_file, parameters),
         "variant": variant(),
+        **changes.describe(),
         **provenance.versions(),
     }
 

@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from ..files import images
+from ..rendering.changes import UNCHANGED, Changes
 from ..rendering.job import MAX_SPP
 from ..rendering.provenance import machine
-from ..sampling import find
+from ..rendering.rewrite import check_choice
+from ..rendering.scene import parse_scene
 from . import results
 from .album import Album
 from .gallery import Gallery, Task, settings
@@ -34,6 +36,7 @@ def compare(
     parameters: Mapping[str, str] | None = None,
     progress: Progress = lambda step, done, total: None,
     say: Callable[[str], None] = print,
+    changes: Changes = UNCHANGED,
 ) -> Comparison:
     """
     Compare sampling strategies in a scene with a reference, at equal samples and at equal time.
@@ -49,8 +52,9 @@ def compare(
         Output folder, made if needed.
     strategies
         Names for every ``ellipticalarea`` of the scene. The others are compared with the first.
-        Lamps choose among themselves, unless ``+ungrouped`` follows the name. The reference does
-        not depend on it.
+        Lamps choose among themselves, unless ``+ungrouped`` follows the name. ``built-in`` is
+        Mitsuba's own `area`, and ``ceiling=area+solid_angle`` chooses for the lamp of the id
+        "ceiling" and for all others. The reference does not depend on it.
     spp
         Samples per pixel. At equal time, each strategy takes as many as take the time that the
         first strategy needs for these.
@@ -62,6 +66,8 @@ def compare(
         Values for the scene's ``<default>`` parameters.
     progress, say
         Called with the progress of a step, and with sentences for the user.
+    changes
+        Of the scene, for all pictures and the reference.
 
     Raises
     ------
@@ -72,9 +78,11 @@ def compare(
     scene_file, folder, parameters = Path(scene_file), Path(folder), dict(parameters or {})
     strategies, spp = tuple(dict.fromkeys(strategies)), tuple(sorted(set(spp)))
     _check(strategies, spp, reference_spp)
+    if changes.convert_lamps:
+        say(f"{parse_scene(scene_file, parameters).conversion()}")
 
     # Pictures come first: they show within seconds whether the scene renders at all.
-    gallery = Gallery(folder / "pictures", scene_file, parameters)
+    gallery = Gallery(folder / "pictures", scene_file, parameters, changes)
     grid = [(name, count) for name in strategies for count in spp]
     pictures = _fill(gallery, grid, seeds, EQUAL_SAMPLES, progress, say)
     matches = _match_times(strategies, spp, pictures)
@@ -90,6 +98,7 @@ def compare(
         lambda done, total: progress("reference", done, total),
         say,
         album=album,
+        changes=changes,
     )
     values = measure(folder, pictures, reference, album, progress)
     measurements: list[Measurement] = []
@@ -100,7 +109,7 @@ def compare(
         keys = [matches[name, count] for name in strategies]
         measurements += summarize(EQUAL_TIME, keys, pictures, values)
 
-    about = settings(scene_file, parameters)
+    about = settings(scene_file, parameters, changes)
     comparison = Comparison(
         scene_file, parameters, folder, strategies, spp, seeds, about, machine(), reference,
         tuple(measurements), album,
@@ -133,7 +142,7 @@ def match_samples(seconds: float, spp: Sequence[int], measured: Sequence[float])
 
 def _check(strategies: Sequence[str], spp: Sequence[int], reference_spp: int) -> None:
     for name in strategies:
-        find(split(name)[0])
+        check_choice(split(name)[0])
     if not strategies or not spp:
         raise ValueError("a comparison needs a strategy and a number of samples per pixel")
     for count in (*spp, reference_spp):
