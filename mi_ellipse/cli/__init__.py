@@ -9,6 +9,7 @@ import typer
 from .. import __version__
 from . import compare, convert, doctor, render, report
 from .options import STRATEGIES_HELP
+from .process import plain_log
 
 app = typer.Typer(
     help="Exact elliptical lights for Mitsuba 3.",
@@ -36,6 +37,7 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def _options(
+    context: typer.Context,
     version: Annotated[
         bool,
         typer.Option(
@@ -43,4 +45,5 @@ def _options(
         ),
     ] = False,
 ) -> None:
-    """Take the options that stand before a command."""
+    """Take the options that stand before a command, and set up what all commands share."""
+    context.with_resource(plain_log())
