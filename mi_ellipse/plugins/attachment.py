@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry import ellipse, ellipsoid, mesh
+from ..geometry import ellipse, ellipsoid, limits, mesh
 from ..geometry.light import Light
 from ..lamps.lamp import Lamp
 from .names import DISK, ELLIPSE, ELLIPSOID, ELLIPTICAL_AREA, SPHERE
@@ -39,8 +39,8 @@ class Attachment:
         Raises
         ------
         ValueError
-            Without a shape, if the shape is no light of this package, or if the strategy cannot
-            sample one like it.
+            Without a shape, if the shape is no light of this package, if its size is beyond single
+            precision, or if the strategy cannot sample one like it.
         """
         try:
             light = _light(shape)
@@ -76,6 +76,17 @@ def attach(shape: mi.Shape) -> None:
         emitter.attachment.attach(shape)
 
 
+def attach_all(scene: mi.Scene) -> None:
+    """Attach the emitters of a scene that would wait for their first use, as on a plain `disk`.
+
+    Errors are those of `Attachment.attach`.
+    """
+    for emitter in scene.emitters():
+        attachment = getattr(emitter, "attachment", None)
+        if isinstance(attachment, Attachment) and attachment.lamp.stored is None:
+            attachment.attach(emitter.get_shape())
+
+
 def _misplaced(what: str) -> str:
     return (
         f"the emitter is attached to {what} and gives no light; put it into a shape of type "
@@ -105,17 +116,24 @@ def _light(shape: mi.Shape | None) -> Light:
 
 def _area(shape: mi.Shape, light: Light) -> mi.Float:
     """Surface area of a light: its value as exact as the light, its gradient that of the shape."""
-    area, followed = light.area, shape.surface_area()
+    followed = shape.surface_area()
+    if shape.class_name() == "Sphere":
+        return followed
+    area = light.area
     return dr.replace_grad(area, followed) if dr.grad_enabled(followed) else area
 
 
 def _of_disk(shape: mi.Shape) -> Light:
-    return ellipse.from_transform(dr.detach(_parameter(shape, "to_world")))
+    to_world = dr.detach(_parameter(shape, "to_world"))
+    limits.check_ellipse(_entries(to_world))
+    return ellipse.from_transform(to_world)
 
 
 def _of_sphere(shape: mi.Shape) -> Light:
     """Ellipsoid with three equal semi-axes; Mitsuba has made the transform a similarity."""
-    light = ellipsoid.from_transform(dr.detach(_parameter(shape, "to_world")))
+    to_world = dr.detach(_parameter(shape, "to_world"))
+    limits.check_solid(_entries(to_world))
+    light = ellipsoid.from_transform(to_world)
     # The transform does not tell what `flip_normals` and mirrors do to the normals.
     it = mi.Interaction3f()
     it.p = mi.Point3f(light.centre) + 2 * light.lx
@@ -144,7 +162,19 @@ def _of_mesh(shape: mi.Mesh) -> Light:
             f"a sphere: they miss the nearest ellipsoid by {missed:.1g} of its size, and may by "
             f"{MESH_ERROR:g}"
         )
+    limits.check_solid(matrix)
     return ellipsoid.from_transform(mi.ScalarAffineTransform4d(matrix))
+
+
+def _entries(to_world: Any) -> np.ndarray:
+    """4×4 matrix of a transform that is known, also while Dr.Jit traces.
+
+    Entry by entry: to gather them would be a kernel, and none can run then.
+    """
+    scalar = not dr.is_jit_v(to_world.matrix)
+    entries = [to_world.matrix[i, j] for i in range(4) for j in range(4)]
+    values = [float(entry if scalar else entry[0]) for entry in entries]
+    return np.array(values).reshape(4, 4)
 
 
 def _affine_map(known: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, float]:
