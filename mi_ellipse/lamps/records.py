@@ -13,6 +13,7 @@ import numpy as np
 from ..geometry.light import StoredLight, field_values
 from ..geometry.tracing import table
 from ..sampling.strategy import Strategy
+from .estimate import proportions
 from .lamp import Lamp
 from .tree import Lights
 
@@ -82,9 +83,7 @@ def lights(rows: Sequence[Row], power: np.ndarray) -> Lights:
     centre, ex, ey = (
         np.array([row.fields[name] for row in rows], dtype=float) for name in ("centre", "ex", "ey")
     )
-    radius, ratio = (
-        np.array([row.fields[name][0] for row in rows], dtype=float) for name in ("lx", "ratio")
-    )
+    radius, ratio, _ = np.array([proportions(row.fields) for row in rows]).T
     # What a solid shows of itself is about as large as its largest cross section.
     return Lights(
         centre=centre,

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry import ellipse, ellipsoid, limits, mesh
+from ..geometry import ellipse, ellipsoid, limits, mesh, sphere
 from ..geometry.light import Light
 from ..lamps.lamp import Lamp
 from .names import DISK, ELLIPSE, ELLIPSOID, ELLIPTICAL_AREA, SPHERE
@@ -116,10 +116,7 @@ def _light(shape: mi.Shape | None) -> Light:
 
 def _area(shape: mi.Shape, light: Light) -> mi.Float:
     """Surface area of a light: its value as exact as the light, its gradient that of the shape."""
-    followed = shape.surface_area()
-    if shape.class_name() == "Sphere":
-        return followed
-    area = light.area
+    area, followed = light.area, shape.surface_area()
     return dr.replace_grad(area, followed) if dr.grad_enabled(followed) else area
 
 
@@ -130,10 +127,10 @@ def _of_disk(shape: mi.Shape) -> Light:
 
 
 def _of_sphere(shape: mi.Shape) -> Light:
-    """Ellipsoid with three equal semi-axes; Mitsuba has made the transform a similarity."""
-    to_world = dr.detach(_parameter(shape, "to_world"))
-    limits.check_solid(_entries(to_world))
-    light = ellipsoid.from_transform(to_world)
+    """Sphere; Mitsuba has made the transform a similarity."""
+    matrix = _entries(dr.detach(_parameter(shape, "to_world")))
+    limits.check_solid(matrix)
+    light = sphere.from_transform(mi.ScalarAffineTransform4d(matrix))
     # The transform does not tell what `flip_normals` and mirrors do to the normals.
     it = mi.Interaction3f()
     it.p = mi.Point3f(light.centre) + 2 * light.lx
@@ -152,10 +149,10 @@ def _of_mesh(shape: mi.Mesh) -> Light:
     if shape.has_flipped_normals():
         raise ValueError(_inwards("ellipsoid", "flip_normals"))
     points = np.array(dr.detach(shape.vertex_positions_buffer()), dtype=float).reshape(-1, 3)
-    sphere = mesh.unit_sphere_of(len(points))
-    if sphere is None:
+    unit = mesh.unit_sphere_of(len(points))
+    if unit is None:
         raise ValueError(_misplaced("a mesh that is no ellipsoid of this package"))
-    matrix, missed = _affine_map(sphere.points, points)
+    matrix, missed = _affine_map(unit.points, points)
     if not missed < MESH_ERROR:
         raise ValueError(
             "the vertex_positions of the mesh around the emitter are no affine image of those of "
@@ -163,18 +160,17 @@ def _of_mesh(shape: mi.Mesh) -> Light:
             f"{MESH_ERROR:g}"
         )
     limits.check_solid(matrix)
-    return ellipsoid.from_transform(mi.ScalarAffineTransform4d(matrix))
+    kind = sphere if sphere.is_sphere(matrix[:3, :3]) else ellipsoid
+    return kind.from_transform(mi.ScalarAffineTransform4d(matrix))
 
 
 def _entries(to_world: Any) -> np.ndarray:
-    """4×4 matrix of a transform that is known, also while Dr.Jit traces.
+    """4×4 matrix of a transform that is known, also while Dr.Jit traces or records.
 
-    Entry by entry: to gather them would be a kernel, and none can run then.
+    Entry by entry: in one piece, Dr.Jit would have to run a kernel, which it cannot do then.
     """
-    scalar = not dr.is_jit_v(to_world.matrix)
     entries = [to_world.matrix[i, j] for i in range(4) for j in range(4)]
-    values = [float(entry if scalar else entry[0]) for entry in entries]
-    return np.array(values).reshape(4, 4)
+    return np.array([np.array(entry).item() for entry in entries], dtype=float).reshape(4, 4)
 
 
 def _affine_map(known: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, float]:

@@ -6,8 +6,10 @@ import mpmath
 import numpy as np
 import pytest
 from commands import write_scene
+from conftest import floor_and
 from mi_ellipse.geometry import limits
 from mi_ellipse.rendering.scene import load_scene
+from mi_ellipse.system.messages import innermost_cause
 
 from oracles.ellipse import solid_angle
 
@@ -127,3 +129,18 @@ def test_updates_to_such_lamps_are_refused(scene_file, shape):
     parameters["lamp.to_world"] = mi.Transform4f().scale([1e10, 1, 1])
     with pytest.raises(ValueError, match=r"ellipticalarea: .*1e\+10 and 1 is too long"):
         parameters.update()
+
+
+@pytest.mark.parametrize("shape", ["disk", "sphere"])
+@pytest.mark.parametrize("size", [1, 1e20])
+def test_a_lamp_that_waits_for_its_first_use_is_refused_then(shape, size):
+    """Also while Dr.Jit records, when no kernel can run."""
+    lamp = {"type": shape, "to_world": mi.ScalarTransform4f().translate([0, 0, 3]).scale(size)}
+    scene = mi.load_dict(floor_and({"lamp": lamp | {"emitter": {"type": "ellipticalarea"}}}, 4))
+    frozen = dr.freeze(lambda scene: mi.render(scene, spp=1))
+    if size == 1:
+        assert np.isfinite(np.array(frozen(scene))).all()
+    else:
+        with pytest.raises(RuntimeError) as error:
+            frozen(scene)
+        assert "too large or too far" in innermost_cause(error.value)
