@@ -7,6 +7,7 @@ import pytest
 from lamp_groups import load, ring, solids, two, weighted
 from mi_ellipse.lamps.choice import EQUAL_SHARE
 from mi_ellipse.lamps.group import FEW
+from mitsuba.chi2 import ChiSquareTest
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 
@@ -15,6 +16,7 @@ DRAWS = 1 << 18
 
 SCENES = {
     "two": two,
+    "two of projected_solid_angle": lambda: two(*["projected_solid_angle"] * 2),
     "weighted": weighted,
     "strategies": lambda: two("projected_solid_angle", "area"),
     "solids": solids,
@@ -81,10 +83,15 @@ def parts_of_integral(lamps, scene, point, normal):
         solid_angles.append(np.maximum(-(area * offset).sum(0), 0) / distance2**1.5)
     ds = dr.zeros(mi.DirectionSample3f, len(lamps) * NODES**2)
     ds.d = mi.Vector3f(np.concatenate(directions, axis=1))
-    numbers = [dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(emitters[name]))[0] for name in lamps]
+    numbers = [number_of(emitters[name]) for name in lamps]
     asked = dr.reinterpret_array(mi.EmitterPtr, mi.UInt32(np.repeat(numbers, NODES**2)))
     density = asked.pdf_direction(interaction(point, normal), ds).numpy().reshape(len(lamps), -1)
     return (density * solid_angles).sum(1) * weights / weights.sum()
+
+
+def number_of(emitter):
+    """Number of an emitter in the arrays of pointers."""
+    return dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(emitter))[0]
 
 
 def interaction(point, normal):
@@ -129,3 +136,104 @@ def test_integral_over_all_lamps(name):
         if len(lamps) <= FEW and dark < len(lamps):
             lost = EQUAL_SHARE * dark / len(lamps)
             assert total == pytest.approx(1 - lost, abs=2e-5), view
+
+
+# ---- The draws follow the density ----
+
+
+class Union:
+    """All ellipses of a scene side by side: a unit square each, of turns and squared radii.
+
+    Parameters
+    ----------
+    lamps
+        The dictionaries of the shapes.
+    scene
+        The scene with them.
+    point, normal
+        Where they are seen from.
+    """
+
+    def __init__(self, lamps, scene, point, normal):
+        self.scene, self.it = scene, interaction(point, normal)
+        self.count = len(lamps)
+        emitters = {emitter.get_shape().id(): emitter for emitter in scene.emitters()}
+        self.numbers = np.array([number_of(emitters[name]) for name in lamps])
+        weights = np.array([emitters[name].sampling_weight() for name in lamps], dtype=float)
+        self.shares = weights / weights.sum()
+        self.matrices = np.array([shape["to_world"].matrix for shape in lamps.values()], float)
+        self.matrices[:, :3, 3] -= np.float32(point)
+
+    def bounds(self):
+        return mi.ScalarBoundingBox2f([0, 0], [self.count, 1])
+
+    def aspect(self):
+        return 1 / self.count  # Mitsuba divides by it: square cells
+
+    def map_forward(self, place):
+        return place
+
+    def map_backward(self, place):
+        return place
+
+    def sample(self, u):
+        """Places of draws, and zero as the weight of draws that meet nothing."""
+        ds, _ = self.scene.sample_emitter_direction(self.it, u, test_visibility=False)
+        valid = ds.pdf.numpy() > 0
+        number = dr.reinterpret_array(mi.UInt32, ds.emitter).numpy()
+        lamp = np.where(valid, np.argmax(number[:, None] == self.numbers, axis=1), 0)
+        # A direction is a (u, w) + b (u, w) + c (centre) up to its length.
+        linear = self.matrices[:, :3][:, :, [0, 1, 3]]
+        a, b, c = np.einsum("nij,jn->in", np.linalg.inv(linear)[lamp], ds.d.numpy().astype(float))
+        a, b = np.where(valid, a / c, 0), np.where(valid, b / c, 0)
+        turn = np.arctan2(b, a) / (2 * np.pi) % 1
+        # Rounding may put a point beyond the rim, or on the next lamp.
+        place = np.array([lamp + np.minimum(turn, 1 - 1e-5), np.minimum(a * a + b * b, 1)])
+        return mi.Point2f(np.float32(place)), mi.Float(np.float32(valid))
+
+    def density(self, place):
+        """Density of a place on the unit squares."""
+        x, y = place.numpy().astype(float)
+        lamp = np.minimum(x.astype(int), self.count - 1)
+        turn, radius = 2 * np.pi * (x - lamp), np.sqrt(y)
+        matrix = self.matrices[lamp]
+        u, w, z, c = (matrix[:, :3, k] for k in range(4))
+        offset = u * (radius * np.cos(turn))[:, None] + w * (radius * np.sin(turn))[:, None] + c
+        area = np.cross(u, w)
+        area *= np.sign((area * z).sum(1))[:, None] * np.pi
+        distance2 = (offset**2).sum(1)
+        solid_angle = np.maximum(-(area * offset).sum(1), 0) / distance2**1.5
+        ds = dr.zeros(mi.DirectionSample3f, len(lamp))
+        ds.d = mi.Vector3f(np.float32(offset / np.sqrt(distance2)[:, None]).T)
+        asked = dr.reinterpret_array(mi.EmitterPtr, mi.UInt32(self.numbers[lamp]))
+        density = asked.pdf_direction(self.it, ds).numpy() * self.shares[lamp]
+        return mi.Float(np.float32(density * solid_angle))
+
+
+CHI_SQUARE = [
+    ("two of projected_solid_angle", "floor"),
+    ("two of projected_solid_angle", "horizon through lamps"),
+    ("weighted", "fog"),
+    ("ring", "floor"),
+    ("ring", "above a plane"),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "view"), CHI_SQUARE, ids=["-".join(row).replace(" ", "-") for row in CHI_SQUARE]
+)
+def test_chi_square(name, view):
+    """Mitsuba's χ² test; 1 % significance for all these tests together."""
+    lamps = SCENES[name]()
+    union = Union(lamps, load(lamps, True), *VIEWS[view])
+    test = ChiSquareTest(
+        union,
+        union.sample,
+        union.density,
+        sample_count=400_000,
+        res=16 if len(lamps) <= FEW else 8,
+        ires=16,
+        seed=3,
+    )
+    passed = test.run(0.01, len(CHI_SQUARE), quiet=True)
+    assert passed, test.messages
