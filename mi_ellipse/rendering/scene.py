@@ -14,6 +14,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from ..plugins.attachment import attach_all
 from ..plugins.names import ELLIPTICAL_AREA
 from . import rewrite
 from .changes import UNCHANGED, Changes, sensor_names
@@ -212,6 +213,7 @@ def instantiate(
         scene = mi.parser.instantiate(parsed.config, state)
     if not isinstance(scene, mi.Scene):
         raise ValueError(f"{parsed.path}: the root element is no <scene>")
+    attach_all(scene)
     return scene
 
 

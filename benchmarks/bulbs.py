@@ -1,0 +1,98 @@
+"""Error and time of the scene `bulbs.xml`: sphere and ellipsoid lamps against Mitsuba's own."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import mi_ellipse
+import mitsuba as mi
+import numpy as np
+from matplotlib.patches import Rectangle
+from mi_ellipse.files.images import to_srgb
+
+from .error import errors
+from .harness import PAIRS, compare_times, rendering
+from .scenes import LIGHT_SAMPLES, SCENES, SOLIDS, scene_file
+
+GROUPED = ", grouped"
+STRATEGIES = ("area", "solid_angle", "projected_solid_angle")
+KINDS = (*STRATEGIES, *(f"{name}{GROUPED}" for name in STRATEGIES[1:]))
+RESOLUTION = {"resx": 320, "resy": 240}
+SPP = 64
+REFERENCE_PASSES = 16  # of 1 024 samples
+
+FIGURE = SCENES.parent / "docs" / "images" / "bulbs_4spp.png"
+FIGURE_SPP = 4
+SHOWN = (SOLIDS, "solid_angle", "projected_solid_angle", f"projected_solid_angle{GROUPED}")
+INSETS = {"#D55E00": (40, 112, 80, 60), "#0072B2": (180, 80, 80, 60)}  # column, row, width, height
+
+
+def bulbs(kind: str) -> mi.Scene:
+    """The scene with lamps of a kind, which may be grouped."""
+    name, grouped, _ = kind.partition(GROUPED)
+    scene = scene_file("bulbs", name, **RESOLUTION)
+    if grouped:
+        mi_ellipse.group_lamps(scene)
+    return scene
+
+
+def run(pairs: int = PAIRS) -> dict:
+    """Errors, how many times lower they are than with Mitsuba's lamps, and time ratios."""
+    # The light that arrives straight from the lamps is the same for both kinds of samples.
+    best = bulbs(f"projected_solid_angle{GROUPED}")
+    passes = (np.array(mi.render(best, spp=1024, seed=k)) for k in range(REFERENCE_PASSES))
+    reference = sum(image.astype(float) for image in passes) / REFERENCE_PASSES
+    del best
+    _draw(reference)
+
+    make = {kind: rendering(partial(bulbs, kind), SPP) for kind in (SOLIDS, *KINDS)}
+    times = compare_times(make[SOLIDS], make, pairs).ratios
+    measured = {kind: _errors(bulbs(kind), reference) for kind in make}
+    results = {"spp": SPP, "size": list(RESOLUTION.values()), "kinds": {}}
+    for kind, own in measured.items():
+        entry = {"time": vars(times[kind])}
+        for samples, error in own.items():
+            ratio = measured[SOLIDS][samples]["trimmed"] / error["trimmed"]
+            entry[samples] = error | {"error_ratio": ratio}
+        results["kinds"][kind] = entry
+        print(f"{kind:<32}{entry}", flush=True)
+    return results
+
+
+def _errors(scene: mi.Scene, reference: np.ndarray) -> dict[str, dict[str, float]]:
+    return {
+        "light samples": errors(scene, reference, mi.load_dict(LIGHT_SAMPLES)),
+        "MIS": errors(scene, reference),
+    }
+
+
+def _draw(reference: np.ndarray) -> None:
+    """Pictures of light samples alone, and two regions of each, enlarged."""
+    integrator = mi.load_dict(LIGHT_SAMPLES)
+    pictures = {"reference": reference}
+    for kind in SHOWN:
+        image = mi.render(bulbs(kind), integrator=integrator, spp=FIGURE_SPP, seed=1)
+        pictures[kind.replace("_", " ")] = np.array(image)
+    aspect = RESOLUTION["resy"] / RESOLUTION["resx"]
+    width = 2.2
+    with mpl.rc_context({"font.size": 8}):
+        figure, axes = plt.subplots(
+            3,
+            len(pictures),
+            figsize=(width * len(pictures), 3 * width * aspect + 0.3),
+            layout="constrained",
+            squeeze=False,
+        )
+        for column, (title, picture) in zip(axes.T, pictures.items(), strict=True):
+            column[0].imshow(to_srgb(picture))
+            column[0].set_title(title)
+            for panel, (colour, (x, y, w, h)) in zip(column[1:], INSETS.items(), strict=True):
+                column[0].add_patch(Rectangle((x, y), w, h, fill=False, edgecolor=colour))
+                panel.imshow(to_srgb(picture[y : y + h, x : x + w]))
+                panel.spines[:].set_color(colour)
+            for panel in column:
+                panel.set(xticks=[], yticks=[])
+        figure.savefig(FIGURE, dpi=130)
+        plt.close(figure)
