@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from .. import __version__
-from . import compare, convert, doctor, render, report
+from . import compare, convert, doctor, illuminance, render, report
 from .options import STRATEGIES_HELP
 from .process import plain_log
 
@@ -19,6 +19,7 @@ app = typer.Typer(
 )
 app.command("render", epilog=STRATEGIES_HELP)(render.run)
 app.command("compare", epilog=STRATEGIES_HELP)(compare.run)
+app.command("illuminance")(illuminance.run)
 app.command("convert")(convert.run)
 app.command("report")(report.run)
 app.command("doctor")(doctor.run)

@@ -12,7 +12,7 @@ from urllib.parse import quote
 import typer
 from rich.console import Console
 
-from ..files import atomic, images
+from ..files import images
 from ..rendering import partial, provenance
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import Plan, Rendering, RenderJob
@@ -28,6 +28,7 @@ from .options import (
     SceneFile,
     Seed,
     Variant,
+    check_output,
     parse_changes,
     parse_definitions,
 )
@@ -88,8 +89,7 @@ def run(
     with one_line_errors():
         check_scene_file(scene_file)
         exr = output or Path(f"{scene_file.stem}.exr")
-        if exr.suffix.lower() != ".exr":
-            raise ValueError(f"{exr}: the output is an OpenEXR file, and its name ends in .exr")
+        check_output(exr, ".exr", "an OpenEXR file")
         job = RenderJob(
             scene_file,
             parameters,
@@ -103,8 +103,8 @@ def run(
         )
         jobs = _for_each_sensor(job, exr) if sensor == ALL else {exr: job}
         for file in jobs:
-            _check_writable(file)
-            _check_writable(file.with_suffix(".png"))
+            check_output(file, ".exr", "an OpenEXR file")
+            check_output(file.with_suffix(".png"), ".png", "a PNG")
         for file, one in jobs.items():
             _make_picture(one, file, half, keep_partial)
 
@@ -208,13 +208,6 @@ def _announce(job: RenderJob, plan: Plan, before: Finished, console: Console) ->
             f"Rendering in {len(plan.sizes)} passes: its samples are less evenly spread, and the"
             " picture a little noisier, than in a single one."
         )
-
-
-def _check_writable(path: Path) -> None:
-    try:
-        atomic.check_writable(path)
-    except OSError as error:
-        raise ValueError(f"cannot write {path}: {error.strerror or error}") from None
 
 
 def _count(number: int, singular: str, plural: str) -> str:

@@ -29,6 +29,7 @@ NOT_IN_A_PICTURE = (
     "__main__.py",
     "cli/",
     "files/",
+    "lighting/",
     "measures.py",
     "rendering/converted_file.py",
     "rendering/partial.py",
