@@ -1,11 +1,9 @@
 """Samplers with strata keep their advantage when lamps are grouped."""
 
-import mi_ellipse
 import mitsuba as mi
 import numpy as np
 import pytest
-from conftest import floor_and
-from lamp_groups import LIGHT_ONLY, ring, two, weighted
+from lamp_groups import LIGHT_ONLY, load, ring, two, weighted
 
 from oracles.pictures import render
 
@@ -13,20 +11,10 @@ pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 
 COUNTS = (16, 64, 256)  # Samples a pixel: powers of four, as `multijitter` likes them
 SIZE = 16  # Pixels along each side
-# Between the lamps and the floor: no edge of a lamp and no shadow in the picture
-BELOW_THE_LAMPS = {"origin": [0, 0, 0.4], "target": [0, 0, 0], "up": [0, 1, 0]}
 
 
 def scene_of(lamps, grouped, sampler, below=False):
-    scene = floor_and(lamps(), SIZE, integrator=LIGHT_ONLY)
-    scene["sensor"]["sampler"] = {"type": sampler}
-    if below:
-        look = mi.ScalarTransform4f().look_at(**BELOW_THE_LAMPS)
-        scene["sensor"] |= {"fov": 120.0, "to_world": look}
-    scene = mi.load_dict(scene)
-    if grouped:
-        assert mi_ellipse.group_lamps(scene) is not None
-    return scene
+    return load(lamps(), grouped, SIZE, sampler, below, integrator=LIGHT_ONLY)
 
 
 def reference(lamps, below):
