@@ -62,10 +62,9 @@ def run(
         if not grouping:
             strategies = [ungrouped(name) for name in strategies]
         mi.set_variant(variant)
-        output.mkdir(parents=True, exist_ok=True)
         console = Console(stderr=True)
         with step_bars(console) as progress:
-            comparison = compare(
+            compare(
                 scene_file,
                 output,
                 strategies,
@@ -75,6 +74,8 @@ def run(
                 parameters,
                 progress,
                 console.print,
+                regions,
+                lambda comparison: draw(comparison, regions, console),
             )
-        page = draw(comparison, regions, console)
-    print(f"{page}, {output / 'results.csv'}, {output / 'results.json'}, {output / 'figures'}")
+    names = ("report.html", "results.csv", "results.json", "figures")
+    print(", ".join(str(output / name) for name in names))

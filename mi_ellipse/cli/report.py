@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
+from ..files.lock import only_one
 from .options import Insets, parse_insets
 from .process import interrupt_ends_process, one_line_errors
 
@@ -25,19 +26,20 @@ def run(
         # Not with the other imports: drawing would make every command slow to start.
         from ..study import results
 
-        page = draw(results.read(folder), regions, Console(stderr=True))
-    print(f"{page}, {folder / 'figures'}")
+        comparison = results.read(folder)
+        with only_one(folder):
+            draw(comparison, regions, Console(stderr=True))
+    print(f"{folder / 'report.html'}, {folder / 'figures'}")
 
 
 def draw(
     comparison: Comparison, insets: list[tuple[int, int, int, int]] | None, console: Console
-) -> Path:
-    """Write the figures and the report of a comparison, repeat its warnings, return the page."""
+) -> None:
+    """Write the figures and the report of a comparison, and repeat its warnings."""
     from ..study import drawing, report
 
     console.print("Drawing the figures and the report")
     figures = drawing.write_figures(comparison, insets)
-    page = report.write_report(comparison, insets, figures)
+    report.write_report(comparison, insets, figures)
     for warning in comparison.warnings():
         console.print(f"WARNING: {warning}", style="bold red")
-    return page

@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from ..files import images
+from ..files.lock import only_one
 from ..rendering.provenance import machine
-from ..sampling import find
-from . import results
+from . import origin, results
 from .album import Album
+from .checks import Request, check
+from .drawing.insets import Inset
 from .gallery import Gallery, Task, settings
-from .kinds import split
 from .measuring import Key, Pictures, Progress, measure, median, summarize
 from .reference import render_reference
 from .results import EQUAL_SAMPLES, EQUAL_TIME, Comparison, Measurement
@@ -33,6 +34,8 @@ def compare(
     parameters: Mapping[str, str] | None = None,
     progress: Progress = lambda step, done, total: None,
     say: Callable[[str], None] = print,
+    insets: Sequence[Inset] | None = None,
+    finish: Callable[[Comparison], None] = lambda comparison: None,
 ) -> Comparison:
     """
     Compare sampling strategies in a scene with a reference, at equal samples and at equal time.
@@ -61,17 +64,42 @@ def compare(
         Values for the scene's ``<default>`` parameters.
     progress, say
         Called with the progress of a step, and with sentences for the user.
+    insets
+        Regions that figures will enlarge. They are checked here, before hours of rendering.
+    finish
+        Called with the comparison while no other process can work in the folder.
 
     Raises
     ------
     ValueError
-        For an unknown strategy, a picture with NaN or infinite pixels, a black reference, or a
-        folder that holds a reference with other settings.
+        For an unknown strategy, impossible counts or insets, a folder that another process works
+        in or that was made from another scene; nothing is written then. For a picture with NaN or
+        infinite pixels, or a black reference.
     """
-    scene_file, folder, parameters = Path(scene_file), Path(folder), dict(parameters or {})
-    strategies, spp = tuple(dict.fromkeys(strategies)), tuple(sorted(set(spp)))
-    _check(strategies, spp)
+    request = Request(
+        Path(scene_file),
+        Path(folder),
+        tuple(dict.fromkeys(strategies)),
+        tuple(sorted(set(spp))),
+        reference_spp,
+        seeds,
+        dict(parameters or {}),
+        insets,
+    )
+    check(request)
+    request.folder.mkdir(parents=True, exist_ok=True)
+    with only_one(request.folder):
+        for name in origin.claim(request.folder, request.scene_file, request.parameters):
+            say(f"{name} was damaged and is made again")
+        comparison = _run(request, progress, say)
+        finish(comparison)
+    return comparison
 
+
+def _run(request: Request, progress: Progress, say: Callable[[str], None]) -> Comparison:
+    """Render and measure what was asked for, and write the results."""
+    scene_file, parameters, folder = request.scene_file, request.parameters, request.folder
+    strategies, spp, seeds = request.strategies, request.spp, request.seeds
     # Pictures come first: they show within seconds whether the scene renders at all.
     gallery = Gallery(folder / "pictures", scene_file, parameters)
     grid = [(name, count) for name in strategies for count in spp]
@@ -85,7 +113,7 @@ def compare(
         folder / "reference",
         scene_file,
         parameters,
-        reference_spp,
+        request.reference_spp,
         lambda done, total: progress("reference", done, total),
         say,
         album=album,
@@ -128,13 +156,6 @@ def match_samples(seconds: float, spp: Sequence[int], measured: Sequence[float])
         if fitted[0] > 0:  # not so where the samples take no time worth mentioning
             slope, offset = fitted
     return max(1, round((seconds - offset) / slope))
-
-
-def _check(strategies: Sequence[str], spp: Sequence[int]) -> None:
-    for name in strategies:
-        find(split(name)[0])
-    if not strategies or not spp or min(spp) < 1:
-        raise ValueError("a comparison needs a strategy and numbers of samples of at least 1")
 
 
 # ---- Pictures ----
