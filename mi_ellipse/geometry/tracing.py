@@ -7,6 +7,7 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 # Smallest normal single-precision number: a floor for denominators whose numerators vanish too.
 TINY = 1.1754944e-38
@@ -44,6 +45,21 @@ def branch(argument, condition, on_true: Callable, on_false: Callable) -> Any:
 def take(dtype: type, source: Any, index: Any) -> Any:
     """Element of arrays at an index: a gather, or an item of a list in scalar variants."""
     return dr.gather(dtype, source, index) if dr.is_jit_v(mi.Float) else source[index]
+
+
+def table(dtype: type, columns: Any) -> Any:
+    """Dr.Jit array of NumPy columns, one array a component; a list of rows in scalar variants.
+
+    The values are copied by way of a list. Dr.Jit would use NumPy's own memory otherwise. Its
+    alignment differs from array to array, and `dr.freeze` records anew for each alignment.
+    """
+    columns = np.asarray(columns)
+    if not dr.is_jit_v(mi.Float):
+        rows = columns.T.tolist()
+        return rows if columns.ndim == 1 else [dtype(row) for row in rows]
+    if columns.ndim == 1:
+        return dtype(columns.tolist())
+    return dtype(*(dr.value_t(dtype)(column.tolist()) for column in columns))
 
 
 def lookup(wanted: bool) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import InitVar, dataclass, field
 from functools import partial
@@ -11,15 +12,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry.ellipse import StoredEllipse
-from ..geometry.ellipsoid import StoredEllipsoid
-from ..geometry.light import StoredLight, field_values
-from ..geometry.tracing import branch, lookup, take
-from ..sampling.strategy import Strategy
-from . import choice, tree
+from ..geometry.tracing import branch, lookup, table, take
+from . import choice, records, tree
 from .choice import Choice, Members
+from .estimate import Outlines
 from .lamp import Lamp, density_of, draw_from
-from .tree import Lights, Tree
+from .records import Row
+from .sharing import Member, Once, member
+from .tree import Tree
 
 # Up to this number every lamp is estimated at every point.
 FEW = 8
@@ -38,7 +38,7 @@ class Group:
     direction has it with the weight of the lamp that it meets. Mitsuba's product is the same in
     both, and the estimate is unbiased.
 
-    All members run the same code over gathered numbers.
+    All members run the same code over gathered numbers. Dr.Jit traces it once for the group.
 
     Parameters
     ----------
@@ -47,30 +47,33 @@ class Group:
     weights
         Their sampling weights, positive.
     emitters
-        Numbers of their emitters in Dr.Jit's registry; in scalar variants functions without
-        arguments that return the emitters.
+        Their emitters.
     """
 
     lamps: InitVar[Sequence[Lamp]]
     weights: InitVar[Sequence[float]]
-    emitters: InitVar[Sequence[Any]]
+    emitters: InitVar[Sequence[mi.Emitter]]
 
     members: Members = field(init=False)
+    lights: dict[str, Any] = field(init=False)  # By the name of their kind, an element a slot
     nodes: Tree | None = field(init=False, default=None)  # None for few lamps
     radiance: mi.UnpolarizedSpectrum = field(init=False)
     behaviour: mi.UInt32 = field(init=False)  # Place in the list of the group's behaviours
-    emitter: mi.UInt32 = field(init=False)
-    slot: mi.UInt32 = field(init=False)  # Of a member, by its rank among the lamps
+    number: mi.UInt32 = field(init=False)  # `Member.number`
+    slot: mi.UInt32 = field(init=False)  # By `Member.number`
     start: mi.Float = field(init=False)  # Sum of the weights of the lamps before, of a sum of 1
     width: mi.Float = field(init=False)  # Weight, of a sum of 1
 
     def __post_init__(
-        self, lamps: Sequence[Lamp], weights: Sequence[float], emitters: Sequence[Any]
+        self, lamps: Sequence[Lamp], weights: Sequence[float], emitters: Sequence[mi.Emitter]
     ) -> None:
         self._lamps = list(lamps)
-        self._rows = [_Row.of(lamp) for lamp in lamps]
+        self._rows = [Row.of(lamp) for lamp in lamps]
         self._weights = np.array(weights, dtype=float)
-        self._emitters = list(emitters)
+        # Weak, since each emitter holds the group
+        self._emitters = [weakref.ref(emitter) for emitter in emitters]
+        self.roles = [member(place, emitter) for place, emitter in enumerate(emitters)]
+        self._draw_once, self._density_once = Once(len(lamps), self._plain), Once(len(lamps))
         self._arrange()
 
     def __len__(self) -> int:
@@ -78,97 +81,101 @@ class Group:
 
     # ---- Parameters ----
 
-    def refresh(self, lamp: Lamp, weight: float) -> None:
+    def refresh(self, role: Member, weight: float) -> None:
         """Follow a change of a member's parameters."""
-        place = self._place_of(lamp)
-        self._rows[place], self._weights[place] = _Row.of(lamp), weight
+        self._rows[role.place] = Row.of(self._lamps[role.place])
+        self._weights[role.place] = weight
         self._arrange()
 
     def _arrange(self) -> None:
         """Put the lamps into slots and make the arrays."""
         count = len(self._lamps)
-        brightness = np.array([row.brightness for row in self._rows]) * self._weights
+        power = np.array([row.brightness for row in self._rows]) * self._weights
         if count > FEW:
-            lights = _lights(self._rows, brightness)
+            lights = records.lights(self._rows, power)
             slots = tree.arrange(lights)
             self.nodes = tree.build(lights, slots)
         else:
             slots, self.nodes = np.arange(count), None
-        rows = np.where(slots >= 0, slots, 0)  # An empty slot has the numbers of some lamp
+        places = np.where(slots >= 0, slots, 0)  # An empty slot has the numbers of some lamp
+        rows = [self._rows[k] for k in places]
 
-        self.members = _members(
-            [self._rows[k] for k in rows], np.where(slots >= 0, brightness[rows], 0)
+        self.members = Members(
+            power=table(mi.Float, np.where(slots >= 0, power[places], 0)),
+            outlines=Outlines.of([row.fields for row in rows]),
         )
-        self._behaviours, behaviours = _distinct(self._lamps)
-        self.behaviour = _array(mi.UInt32, behaviours[rows])
+        self.lights = records.stacks(rows)
+        self._behaviours, behaviours = records.behaviours(self._lamps)
+        self.behaviour = table(mi.UInt32, behaviours[places])
         share = self._weights / self._weights.sum()
-        self.start = _array(mi.Float, (np.cumsum(share) - share)[rows])
-        self.width = _array(mi.Float, share[rows])
+        self.start = table(mi.Float, (np.cumsum(share) - share)[places])
+        self.width = table(mi.Float, share[places])
         self._make_radiance(rows)
-        self._make_pointers(slots, rows)
+        self._number_slots(slots, places)
         if not _scalar():
             dr.eval(self)
 
-    def _make_radiance(self, rows: np.ndarray) -> None:
+    def _make_radiance(self, rows: Sequence[Row]) -> None:
         """Radiance of a slot; none if a lamp has more than one colour."""
-        colours = [row.colour for row in self._rows]
-        self._uniform = all(colour is not None for colour in colours)
-        self._values = [row.value for row in self._rows]
+        self._uniform = all(row.colour is not None for row in rows)
+        self._values = [row.values for row in self._rows]
         if _scalar():
-            self.radiance = [colours[k] for k in rows] if self._uniform else []
+            self.radiance = [row.colour for row in rows]
             return
-        plain = np.zeros((len(rows), dr.size_v(mi.UnpolarizedSpectrum)))
+        colours = np.zeros((len(rows), dr.size_v(mi.UnpolarizedSpectrum)))
         if self._uniform:
-            plain = np.array([np.array(dr.detach(c)).ravel() for c in colours])[rows]
-        self.radiance = mi.UnpolarizedSpectrum(np.float32(plain.T))
+            colours = np.array([np.array(dr.detach(row.colour)).ravel() for row in rows])
+        self.radiance = table(mi.UnpolarizedSpectrum, colours.T)
 
-    def _make_pointers(self, slots: np.ndarray, rows: np.ndarray) -> None:
-        """Emitter of a slot, and slot of an emitter."""
-        place = np.empty(len(self._lamps), dtype=np.uint32)
-        place[slots[slots >= 0]] = np.flatnonzero(slots >= 0)
-        self.slot = _array(mi.UInt32, place)
-        self.emitter = [self._emitters[k] for k in rows]
-        if not _scalar():
-            self.emitter = mi.UInt32(np.array(self.emitter, dtype=np.uint32))
+    def _number_slots(self, slots: np.ndarray, places: np.ndarray) -> None:
+        """Number of the member in a slot, and slot of a number."""
+        numbers = np.array([role.number for role in self.roles])
+        there = np.flatnonzero(slots >= 0)
+        slot = np.zeros(numbers.max() + 1, dtype=np.uint32)
+        slot[numbers[slots[there]]] = there
+        self.slot, self.number = table(mi.UInt32, slot), table(mi.UInt32, numbers[places])
 
     # ---- Directions ----
 
     def sample_direction(
-        self, rank: mi.UInt32, it: mi.Interaction3f, u: mi.Point2f, active: mi.Mask
+        self, role: Member, it: mi.Interaction3f, u: mi.Point2f, active: mi.Mask
     ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
-        """Answer of the member of this rank, which is asked for a light sample, of any member.
+        """Answer of a member that is asked for a light sample, of any member."""
+        return self._draw_once(self._sample_direction, role, it, u, active)
 
-        The rank is a variable and no constant, so that all members have the same code.
+    def pdf_direction(
+        self, role: Member, it: mi.Interaction3f, d: mi.Vector3f, active: mi.Mask
+    ) -> mi.Float:
+        """Density of a direction that meets this member."""
+        return self._density_once(self._pdf_direction, role, it, d, active)
 
-        Raises
-        ------
-        RuntimeError
-            While `dr.freeze` records: replays with changed lamps have ended in a crash.
-        """
-        if not _scalar() and dr.flag(dr.JitFlag.FreezingScope):
-            raise RuntimeError(
-                "group_lamps: dr.freeze cannot record grouped lamps; render this scene without it, "
-                "or leave the lamps ungrouped"
-            )
-        it, asked = type(it)(it), take(mi.UInt32, self.slot, rank)
+    def _sample_direction(self, number, it, u, active):
+        asked = take(mi.UInt32, self.slot, number)
         *drawn, slot = branch(u, True, partial(self._draw, it, asked), _draw_nothing)
         ds = mi.DirectionSample3f()
         ds.p, ds.n, ds.uv, ds.d, ds.dist, pdf = drawn
         ds.pdf = dr.select(active, pdf, 0)
         ds.time, ds.delta = it.time, False
         if _scalar():
-            ds.emitter = self.emitter[slot]()
+            ds.emitter = self._emitters[self.number[slot]]()
         else:
-            number = dr.gather(mi.UInt32, self.emitter, slot, active)
-            ds.emitter = dr.reinterpret_array(mi.EmitterPtr, number)
+            chosen = dr.gather(mi.UInt32, self.number, slot, active)
+            ds.emitter = dr.reinterpret_array(mi.EmitterPtr, chosen)
         lit = active & (ds.pdf > 0)
         inverse = dr.select(lit, dr.rcp(dr.select(lit, ds.pdf, 1)), 0)
-        return ds, self._radiance(it, ds, slot, lit) * inverse
+        if self._plain():
+            radiance = mi.depolarizer(take(mi.UnpolarizedSpectrum, self.radiance, slot))
+        else:
+            radiance = ds.emitter.eval_direction(it, ds, lit)
+        return ds, radiance * inverse
 
-    def _radiance(self, it, ds, slot, lit):
-        if self._uniform and not dr.grad_enabled(self._values):
-            return mi.depolarizer(take(mi.UnpolarizedSpectrum, self.radiance, slot))
-        return ds.emitter.eval_direction(it, ds, lit)
+    def _plain(self) -> bool:
+        """Tell whether the radiance is a number of the group.
+
+        If not, each emitter has to be called for it. Such a call within a call has data of its own
+        for each member, so the members cannot share a trace.
+        """
+        return self._uniform and not dr.grad_enabled(self._values)
 
     def _draw(self, it, asked, u):
         with dr.suspend_grad(), lookup(False):
@@ -176,24 +183,21 @@ class Group:
             x = dr.fma(width, u.x, take(mi.Float, self.start, asked))
             chosen = self._choose(it, dr.minimum(x, choice.LAST))
             u = mi.Point2f(chosen.u, u.y)
-            *drawn, pdf = self._by_behaviour(draw_from, chosen.slot, chosen.root, it, u)
+            *drawn, pdf = self._by_behaviour(draw_from, chosen.slot, it, u)
             return *drawn, pdf * (chosen.probability / width), chosen.slot
 
-    def pdf_direction(
-        self, rank: mi.UInt32, it: mi.Interaction3f, d: mi.Vector3f, active: mi.Mask
-    ) -> mi.Float:
-        """Density of a direction that meets the member of this rank."""
-        slot = take(mi.UInt32, self.slot, rank)
-        return branch(d, active, partial(self._density, type(it)(it), slot), _no_density)
+    def _pdf_direction(self, number, it, d, active):
+        slot = take(mi.UInt32, self.slot, number)
+        return branch(d, active, partial(self._density, it, slot), _no_density)
 
     def _density(self, it, slot, d):
         with dr.suspend_grad(), lookup(False):
             if self.nodes is None:
                 first, count = mi.UInt32(0), len(self._lamps)
-                share, root = choice.probability(self.members, first, count, it, slot)
+                share = choice.probability(self.members, first, count, it, slot)
             else:
-                share, root = self.nodes.probability(self.members, it, slot)
-            pdf = self._by_behaviour(density_of, slot, root, it, d)
+                share = self.nodes.probability(self.members, it, slot)
+            pdf = self._by_behaviour(density_of, slot, it, d)
             width = take(mi.Float, self.width, slot)
             # A weight may have become 0: such a lamp is never asked, and never answers.
             return dr.select(width > 0, pdf * share / dr.select(width > 0, width, 1), 0)
@@ -204,105 +208,34 @@ class Group:
         return self.nodes.choose(self.members, it, u)
 
     def _by_behaviour(
-        self, function: Callable, slot: mi.UInt32, root: mi.Float, it: mi.Interaction3f, argument
+        self, function: Callable, slot: mi.UInt32, it: mi.Interaction3f, argument: Any
     ) -> Any:
         """Call a function of `lamp` with the strategy and the light of the lamp in a slot."""
 
-        def call(kind, arrays, strategy, slot, root, it, argument):
-            return function(strategy, take(kind, arrays, slot), root, it, argument)
+        def call(kind, strategy, slot, it, argument):
+            light = take(kind, self.lights[kind.__name__], slot)
+            return function(strategy, light, it, argument)
 
-        kinds = dict(self.members.kinds())
-        calls = [partial(call, kind, kinds[kind], strategy) for kind, strategy in self._behaviours]
-        arguments = slot, root, it, argument
-        if len(calls) == 1:
-            return calls[0](*arguments)
-        return dr.switch(take(mi.UInt32, self.behaviour, slot), calls, *arguments)
-
-    def _place_of(self, lamp: Lamp) -> int:
-        return next(k for k, member in enumerate(self._lamps) if member is lamp)
+        calls = [partial(call, *behaviour) for behaviour in self._behaviours]
+        return _one_of(calls, take(mi.UInt32, self.behaviour, slot), (slot, it, argument))
 
 
-@dataclass(frozen=True)
-class _Row:
-    """What a group needs of a lamp."""
+def _one_of(calls: Sequence[Callable], number: mi.UInt32, arguments: tuple) -> Any:
+    """Call the function of this number, by branches. `dr.switch` would be a call within a call."""
+    first, *others = calls
+    if not others:
+        return first(*arguments)
 
-    stored: StoredLight
-    fields: dict[str, np.ndarray]  # Of the stored light, in NumPy
-    brightness: float  # Mean of the radiance
-    colour: mi.UnpolarizedSpectrum | None  # Radiance, if it is one colour, and no spectrum
-    value: Any  # The colour's parameter, which derivatives may follow
+    def rest(*values):
+        return _one_of(others, number - mi.UInt32(1), values)
 
-    @classmethod
-    def of(cls, lamp: Lamp) -> _Row:
-        values = field_values(lamp.stored)
-        fields = {name: np.array(value).reshape(-1) for name, value in values.items()}
-        radiance = lamp.radiance
-        if mi.is_spectral or radiance.is_spatially_varying():
-            mean = float(np.array(dr.detach(radiance.mean())).ravel()[0])
-            return cls(lamp.stored, fields, mean, None, None)
-        colour = radiance.eval(dr.zeros(mi.SurfaceInteraction3f))
-        mean = float(np.mean(np.array(dr.detach(colour), dtype=float)))
-        return cls(lamp.stored, fields, mean, colour, mi.traverse(radiance)["value"])
-
-
-def _members(rows: Sequence[_Row], power: np.ndarray) -> Members:
-    """Arrays of the lights in the slots. Where the kind is wrong, one of the right kind repeats."""
-    solid = np.array([isinstance(row.stored, StoredEllipsoid) for row in rows])
-    arrays = {}
-    for name, kind, right in (
-        ("planar", StoredEllipse, ~solid),
-        ("solid", StoredEllipsoid, solid),
-    ):
-        some = np.flatnonzero(right)
-        chosen = [rows[k if right[k] else some[0]] for k in range(len(rows))] if some.size else None
-        arrays[name] = _stack(kind, chosen) if chosen else None
-    return Members(power=_array(mi.Float, power), is_solid=_array(mi.Bool, solid), **arrays)
-
-
-def _stack(kind: type, rows: Sequence[_Row]) -> StoredLight | list[StoredLight]:
-    """One record of arrays of many records; the records themselves in scalar variants."""
-    if _scalar():
-        return [row.stored for row in rows]
-    types = {name: type(value) for name, value in field_values(rows[0].stored).items()}
-    columns = {
-        name: np.stack([row.fields[name] for row in rows], axis=-1) for name in rows[0].fields
-    }
-    return kind(
-        **{
-            name: types[name](column[0] if len(column) == 1 else column)
-            for name, column in columns.items()
-        }
-    )
-
-
-def _lights(rows: Sequence[_Row], brightness: np.ndarray) -> Lights:
-    """Places, directions, sizes and powers of lamps. A solid shines all around."""
-    centre = np.array([row.fields["centre"] for row in rows], dtype=float)
-    ex, ey = (np.array([row.fields[name] for row in rows], dtype=float) for name in ("ex", "ey"))
-    radius = np.array([row.fields["lx"][0] for row in rows], dtype=float)
-    ratio = np.array([row.fields["ratio"][0] for row in rows])
-    solid = np.array([isinstance(row.stored, StoredEllipsoid) for row in rows])
-    # What a solid shows of itself is about as large as its largest cross section.
-    return Lights(
-        centre=centre,
-        normal=np.cross(ex, ey),
-        all_around=solid,
-        radius=radius,
-        power=brightness * np.pi * radius**2 * ratio,
-    )
+    return dr.if_stmt(arguments, number == 0, first, rest)
 
 
 def _draw_nothing(u):
-    zero, origin = mi.Float(0), mi.Point3f(0)
-    return (
-        origin,
-        mi.Normal3f(zero),
-        mi.Point2f(zero),
-        mi.Vector3f(zero),
-        zero,
-        zero,
-        mi.UInt32(0),
-    )
+    zero = mi.Float(0)
+    nowhere = mi.Point3f(0), mi.Normal3f(zero), mi.Point2f(zero), mi.Vector3f(zero)
+    return *nowhere, zero, zero, mi.UInt32(0)
 
 
 def _no_density(d):
@@ -311,20 +244,3 @@ def _no_density(d):
 
 def _scalar() -> bool:
     return not dr.is_jit_v(mi.Float)
-
-
-def _distinct(lamps: Sequence[Lamp]) -> tuple[list[tuple[type, Strategy]], np.ndarray]:
-    """Kinds of lights with strategies, each pair once, and the place of each lamp's in the list."""
-    pairs: dict[Any, tuple[type, Strategy]] = {}
-    keys = []
-    for lamp in lamps:
-        kind = type(lamp.stored)
-        keys.append((kind, lamp.strategy if lamp.follows_texture else lamp.sampling))
-        pairs.setdefault(keys[-1], (kind, lamp.strategy))
-    places = {key: place for place, key in enumerate(pairs)}
-    return list(pairs.values()), np.array([places[key] for key in keys], dtype=np.uint32)
-
-
-def _array(dtype: type, values: np.ndarray) -> Any:
-    """Dr.Jit array, or list in scalar variants."""
-    return values.tolist() if _scalar() else dtype(values)

@@ -8,6 +8,7 @@ close and its normals differ, so they tell near nodes nothing about each other.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +16,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry.tracing import take
+from ..geometry.tracing import table, take
 from . import choice
 from .choice import Choice, Members, rescaled
 from .estimate import FAR_SIDE
@@ -48,32 +49,38 @@ class Tree:
 
     def choose(self, members: Members, it: mi.Interaction3f, u: mi.Float) -> Choice:
         """Choose a lamp for a point with one random number."""
-        position, chance, first = mi.UInt32(0), mi.Float(1), 0
-        for level in range(1, self.depth + 1):
+
+        def descend(level, position, chance, u):
             left = position + position
-            share = self._left_share(left + first, it)
+            share = self._left_share(left + _first(level), it)
             right = u >= share
             width = dr.select(right, 1 - share, share)
-            u = rescaled(u, dr.select(right, share, 0), width)
-            chance *= width
             position = left + dr.select(right, mi.UInt32(1), mi.UInt32(0))
-            first += 2**level
+            u = rescaled(u, dr.select(right, share, 0), width)
+            return level + mi.UInt32(1), position, chance * width, u
+
+        _, position, chance, u = self._loop(descend, mi.UInt32(0), mi.Float(1), u)
         leaf = choice.choose(members, position * LEAF, LEAF, it, u)
         return leaf._replace(probability=leaf.probability * chance)
 
-    def probability(
-        self, members: Members, it: mi.Interaction3f, slot: mi.UInt32
-    ) -> tuple[mi.Float, mi.Float]:
-        """Probability with which `choose` takes a slot, and its `View.root`."""
-        position, chance, first = slot // LEAF, mi.Float(1), 0
-        for level in range(1, self.depth + 1):
-            here = position >> (self.depth - level)
+    def probability(self, members: Members, it: mi.Interaction3f, slot: mi.UInt32) -> mi.Float:
+        """Probability with which `choose` takes a slot."""
+        position = slot // LEAF
+
+        def descend(level, chance):
+            here = position >> (mi.UInt32(self.depth) - level)
             is_right = (here & 1) > 0
-            share = self._left_share(here - (here & 1) + first, it)
-            chance *= dr.select(is_right, 1 - share, share)
-            first += 2**level
-        inside, root = choice.probability(members, position * LEAF, LEAF, it, slot)
-        return chance * inside, root
+            share = self._left_share(here - (here & 1) + _first(level), it)
+            return level + mi.UInt32(1), chance * dr.select(is_right, 1 - share, share)
+
+        _, chance = self._loop(descend, mi.Float(1))
+        return chance * choice.probability(members, position * LEAF, LEAF, it, slot)
+
+    def _loop(self, body: Callable, *state: Any) -> tuple:
+        """Result of a body that runs once for each level, from the first one below the root on."""
+        return dr.while_loop(
+            (mi.UInt32(1), *state), lambda level, *_: level <= mi.UInt32(self.depth), body
+        )
 
     def _left_share(self, left: mi.UInt32, it: mi.Interaction3f) -> mi.Float:
         """Probability of the left one of two siblings."""
@@ -108,6 +115,11 @@ class Tree:
         at_surface = dr.fma(FAR_SIDE, back, front)
         at_surface = dr.select(dr.squared_norm(it.n) > 0, at_surface, 1)
         return dr.select(power > 0, power * at_lamp * at_surface * (inv * inv), 0), power
+
+
+def _first(level: mi.UInt32) -> mi.UInt32:
+    """Place of the first node of a level."""
+    return (mi.UInt32(1) << level) - mi.UInt32(2)
 
 
 def _clipped_mean(mean: mi.Float, variance: mi.Float) -> mi.Float:
@@ -170,20 +182,13 @@ def build(lights: Lights, slots: np.ndarray) -> Tree:
     nodes = [np.concatenate(parts) for parts in zip(*reversed(levels), strict=True)]
     middle, spread2, normal, flat, total = nodes
     return Tree(
-        centre=_array(mi.Point3f, middle),
-        spread2=_array(mi.Float, spread2),
-        normal=_array(mi.Vector3f, normal),
-        flat=_array(mi.Float, flat),
-        power=_array(mi.Float, total),
+        centre=table(mi.Point3f, middle.T),
+        spread2=table(mi.Float, spread2),
+        normal=table(mi.Vector3f, normal.T),
+        flat=table(mi.Float, flat),
+        power=table(mi.Float, total),
         depth=len(levels),
     )
-
-
-def _array(dtype: type, rows: np.ndarray) -> Any:
-    """Dr.Jit array of a row a node, or a list in scalar variants."""
-    if dr.is_jit_v(mi.Float):
-        return dtype(np.ascontiguousarray(np.float32(rows).T))
-    return [dtype(row.tolist()) for row in rows]
 
 
 def _level(width, there, power, centre, normal, radius, all_around) -> tuple[np.ndarray, ...]:

@@ -9,6 +9,7 @@ import mitsuba as mi
 
 from ..lamps.group import Group
 from ..lamps.lamp import Lamp
+from ..lamps.sharing import Member
 from ..sampling import DEFAULT, STRATEGIES
 from ..system import llvm
 from .attachment import Attachment
@@ -40,7 +41,7 @@ class EllipticalArea:
         self.lamp = Lamp(*_parameters(props))
         self.attachment = Attachment(self.lamp)
         self.group: Group | None = None  # See `grouping`
-        self.rank: mi.UInt32 | None = None  # In the group
+        self.role: Member | None = None  # In the group
         self._follow_radiance()
 
     # ---- Parameters ----
@@ -56,7 +57,7 @@ class EllipticalArea:
         self.lamp.follow_radiance()
         self._follow_radiance()
         if self.group is not None:
-            self.group.refresh(self.lamp, float(self.sampling_weight()))
+            self.group.refresh(self.role, float(self.sampling_weight()))
 
     def _follow_radiance(self) -> None:
         self.m_flags = mi.EmitterFlags.Surface
@@ -73,7 +74,7 @@ class EllipticalArea:
         if not self._attached():
             return dr.zeros(mi.DirectionSample3f), dr.zeros(mi.Spectrum)
         if self.group is not None:
-            return self.group.sample_direction(self.rank, it, sample, active)
+            return self.group.sample_direction(self.role, it, sample, active)
         drawn = self.lamp.draw(it, sample)
         ds.p, ds.n, ds.uv = drawn.p, drawn.n, drawn.uv
         ds.d, ds.dist, ds.time = drawn.d, drawn.distance, it.time
@@ -86,7 +87,7 @@ class EllipticalArea:
         if not self._attached():
             return mi.Float(0)
         if self.group is not None:
-            return self.group.pdf_direction(self.rank, it, ds.d, active)
+            return self.group.pdf_direction(self.role, it, ds.d, active)
         return self.lamp.density(it, ds.d, active)
 
     def eval_direction(self, it, ds, active=True):

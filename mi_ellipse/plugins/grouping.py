@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Sequence
 
-import drjit as dr
 import mitsuba as mi
 
 from ..lamps.group import Group
@@ -58,15 +56,7 @@ def group_lamps(scene: mi.Scene, lamps: Sequence[mi.Emitter] | None = None) -> G
     if len(members) < 2:
         return None
     emitters = [emitter for emitter, _ in members]
-    group = Group([e.lamp for e in emitters], [w for _, w in members], _identities(emitters))
-    for rank, emitter in enumerate(emitters):
-        emitter.group = group
-        emitter.rank = dr.opaque(mi.UInt32, rank) if dr.is_jit_v(mi.Float) else rank
+    group = Group([e.lamp for e in emitters], [w for _, w in members], emitters)
+    for emitter, role in zip(emitters, group.roles, strict=True):
+        emitter.group, emitter.role = group, role
     return group
-
-
-def _identities(emitters: list[mi.Emitter]) -> list:
-    """Registry numbers; in scalar variants weak references, which are called as functions."""
-    if not dr.is_jit_v(mi.Float):
-        return [weakref.ref(emitter) for emitter in emitters]
-    return [dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(e))[0] for e in emitters]

@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from conftest import floor_and, kernels_of, lamp
-from mi_ellipse.system.messages import innermost_cause
+from mi_ellipse.lamps.group import Group
 
 from oracles.ellipse import rotation, translation
 from oracles.pictures import assert_same_expectation, render
@@ -276,16 +276,35 @@ def test_all_lamps_without_radiance():
 
 
 @jit
-def test_freeze_is_refused():
-    """An error that says so, and no recording."""
+@pytest.mark.parametrize("lamps", [two, lambda: two() | ring(10)], ids=["two", "tree"])
+def test_updates_under_freeze(lamps):
+    """A replay follows its lamps. The first change may record anew, as Mitsuba's transforms do."""
 
     @dr.freeze
     def frozen(scene):
-        return mi.render(scene, spp=1)
+        return mi.render(scene, spp=16, seed=3)
 
-    with pytest.raises(Exception) as error:  # noqa: PT011
-        frozen(load(two(), True))
-    assert "dr.freeze" in innermost_cause(error.value)
+    scene = load(lamps(), True)
+    for k in range(6):
+        matrix = translation(0.1 * k, 0, 0.1 * k) @ LEFT
+        changed(
+            scene,
+            left__to_world=mi.AffineTransform4f(matrix),
+            right__emitter__radiance__value=mi.Color3f(1 + k, 2, 3),
+        )
+        assert_same_picture(np.array(frozen(scene)), picture(scene))
+    assert frozen.n_recordings <= 2
+
+
+@jit
+def test_frozen_scenes_in_turns():
+    @dr.freeze
+    def frozen(scene):
+        return mi.render(scene, spp=16, seed=3)
+
+    scenes = load(two(), True), load(ring(), True), load(two("area", "area"), False)
+    for scene in (*scenes, *scenes):
+        assert_same_picture(np.array(frozen(scene)), picture(scene))
 
 
 # ---- Scenes side by side, and what is left of them ----
@@ -323,6 +342,23 @@ def test_grouped_lamps_die_with_their_scene():
     gc.collect()
     assert not any(reference() is not None for reference in alive)
     assert kernels_of(native) == before
+
+
+@jit
+@pytest.mark.parametrize("integrator", [PATH, LIGHT_ONLY], ids=["path", "light-samples"])
+def test_members_share_one_trace(integrator, monkeypatch):
+    """The body is traced as often for twelve lamps as for nine."""
+
+    def traces(count):
+        traced = []
+        for name in ("_draw", "_density"):
+            method = getattr(Group, name)
+            monkeypatch.setattr(Group, name, lambda *a, m=method: traced.append(0) or m(*a))
+        picture(load(ring(count), True, integrator=integrator))
+        monkeypatch.undo()
+        return len(traced)
+
+    assert traces(12) == traces(9) > 0
 
 
 @jit
