@@ -4,19 +4,31 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from . import atomic
 
+CHECKSUM = "checksum"
 
-def write_json(file: Path, content: Any) -> None:
-    """Write a document with a checksum; an older file stays until then."""
-    document = {"content": content, "checksum": _checksum(content)}
-    atomic.write_text(file, json.dumps(document, indent=1) + "\n")
+Document = dict[str, Any]
 
 
-def read_json(file: Path) -> Any:
+def write_json(file: Path, document: Mapping[str, Any]) -> None:
+    """
+    Write a document, and its checksum as one more entry; an older file stays until then.
+
+    Raises
+    ------
+    ValueError
+        For a NaN or an infinity, which JSON does not have.
+    """
+    sealed = {**document, CHECKSUM: _checksum(document)}
+    atomic.write_text(file, json.dumps(sealed, indent=1, allow_nan=False) + "\n")
+
+
+def read_json(file: Path) -> Document:
     """
     Return the document in a file of :func:`write_json`.
 
@@ -27,15 +39,27 @@ def read_json(file: Path) -> Any:
     OSError
         If it cannot be read.
     """
+    document = parse(file)
+    verify(file, document)
+    return document
+
+
+def parse(file: Path) -> Document:
+    """Return the document in a file as it is; errors are those of :func:`read_json`."""
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
-        content, checksum = document["content"], document["checksum"]
-    except (ValueError, KeyError, TypeError):  # of which the first covers JSON and UTF-8
-        raise ValueError(f"{file} is damaged: it is no whole file of this package") from None
-    if checksum != _checksum(content):
+    except ValueError as error:  # of JSON or of UTF-8
+        raise ValueError(f"{file} is damaged: {error}") from None
+    if not isinstance(document, dict):
+        raise ValueError(f"{file} is damaged: it holds no document")
+    return document
+
+
+def verify(file: Path, document: Document) -> None:
+    """Take the checksum out of a document; a ValueError if it is wrong or missing."""
+    if document.pop(CHECKSUM, None) != _checksum(document):
         raise ValueError(f"{file} is damaged: its checksum is wrong")
-    return content
 
 
-def _checksum(content: Any) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+def _checksum(document: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()

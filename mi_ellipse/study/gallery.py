@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import mitsuba as mi
@@ -15,6 +15,8 @@ from ..files.images import Image
 from ..rendering import provenance
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import Rendering, RenderJob, Timing
+from . import tidying
+from .album import Album
 from .kinds import split
 
 
@@ -42,40 +44,76 @@ class Picture:
     warm_up: Timing
 
 
+@dataclass
+class Stock:
+    """What a gallery has of the pictures that are asked for."""
+
+    pictures: dict[Task, Picture] = field(default_factory=dict)
+    outdated: list[Task] = field(default_factory=list)  # made with other settings
+    damaged: list[Task] = field(default_factory=list)
+    missing: list[Task] = field(default_factory=list)
+
+    @property
+    def wanted(self) -> list[Task]:
+        """Pictures that need to be rendered."""
+        return [*self.outdated, *self.damaged, *self.missing]
+
+
 class Gallery:
     """
     The pictures of one scene in one folder.
 
     A picture counts as there if it was made with the same settings: scene and the files it names,
     parameters, variant, samples, seed, strategy, grouping, versions, the package's own rendering
-    code, and the machine, since its times are kept with it.
+    code, and the machine, since its times are kept with it. Pictures of earlier runs, which were
+    put away, count as well.
     """
 
-    def __init__(self, folder: Path, scene_file: Path, parameters: Mapping[str, str]):
+    def __init__(
+        self,
+        folder: Path,
+        scene_file: Path,
+        parameters: Mapping[str, str],
+        album: Album | None = None,
+    ):
         self.folder = folder
         self.scene_file = scene_file
         self.parameters = dict(parameters)
+        self._album = album or Album()
         self._settings = settings(scene_file, parameters)
         self._settings |= {
             "picture_digest": provenance.picture_digest(),
             "machine": provenance.machine(),
         }
 
-    def find(self, task: Task) -> Picture | None:
-        """Return the picture if it is there and fits."""
-        file = self._file(task)
-        if not file.exists():
-            return None
-        found = images.read_metadata(file)
+    def take_stock(self, tasks: Sequence[Task]) -> Stock:
+        """Read the pictures that are there, and tell which of them can be used."""
+        stock = Stock()
+        for task in tasks:
+            file = self._file(task)
+            tidying.fetch(file)
+            try:
+                image, found = images.read_picture(file)
+                picture = self._picture(task, found)
+            except FileNotFoundError:
+                stock.missing.append(task)
+            except ValueError:
+                stock.damaged.append(task)
+            else:
+                if picture is None:
+                    stock.outdated.append(task)
+                else:
+                    stock.pictures[task] = picture
+                    self._album.keep_if_small(file, image)
+        return stock
+
+    def _picture(self, task: Task, found: Mapping[str, str]) -> Picture | None:
+        """Return what a file says of its picture, or None if it was made with other settings."""
         wanted = self._settings | _settings_of(task)
-        if any(name not in found or found[name] != value for name, value in wanted.items()):
+        if any(found.get(name) != value for name, value in wanted.items()):
             return None
         timing, warm_up = (Timing(**json.loads(found[name])) for name in ("timing", "warm_up"))
-        return Picture(file, task, int(found["spp"]), timing, warm_up)
-
-    def holds(self, task: Task) -> bool:
-        """Tell whether the picture is there, with whatever settings."""
-        return self._file(task).exists()
+        return Picture(self._file(task), task, int(found["spp"]), timing, warm_up)
 
     def render(
         self, tasks: Sequence[Task], progress: Callable[[Task], None]
@@ -103,6 +141,7 @@ class Gallery:
         description = provenance.describe(job, rendering) | self._settings | _settings_of(task)
         description |= {name: json.dumps(asdict(time)) for name, time in times.items()}
         images.write_exr(self._file(task), image, description)
+        self._album.keep_if_small(self._file(task), image)
         return Picture(self._file(task), task, rendering.spp, rendering.timing, rendering.warm_up)
 
     def _job(self, task: Task) -> RenderJob:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ..files import atomic, images
+from ..files import sealed
 from ..files.images import Image
 from .album import Album
 from .gallery import Picture
@@ -32,7 +31,12 @@ Progress = Callable[[str, int, int], None]
 
 
 def measure(
-    folder: Path, pictures: Pictures, reference: Reference, album: Album, progress: Progress
+    folder: Path,
+    pictures: Pictures,
+    reference: Reference,
+    album: Album,
+    progress: Progress,
+    say: Callable[[str], None],
 ) -> dict[Key, Values]:
     """
     Measure all pictures. The slow metrics are measured only where their values are not known.
@@ -45,18 +49,18 @@ def measure(
         What to compare. Each file is read once.
     album
         Takes the pictures of the first seed, which are shown later.
-    progress
-        Called with the number of pictures done and their total.
+    progress, say
+        Called with the number of pictures done and their total, and with sentences for the user.
     """
     truth = album.read(reference.file)
-    known = _Known(folder / "slow_metrics.json", truth)
+    known = _Known(folder / "slow_metrics.json", truth, say)
     total = sum(len(group) for group in pictures.values())
     done, result = 0, {}
     for key, group in pictures.items():
         measured = []
         for picture in group:
             is_shown = picture is group[0]
-            image = album.read(picture.file) if is_shown else images.read_exr(picture.file)
+            image = album.read(picture.file) if is_shown else album.look(picture.file)
             measured.append(_measure(image, truth, known))
             done += 1
             progress("metrics", done, total)
@@ -130,11 +134,15 @@ def _measure(image: Image, truth: Image, known: _Known) -> dict[str, float]:
 class _Known:
     """Values of slow metrics that were measured before, by the pixels that they belong to."""
 
-    def __init__(self, file: Path, reference: Image):
+    def __init__(self, file: Path, reference: Image, say: Callable[[str], None]):
         self._file = file
-        self._values: dict[str, float] = (
-            json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
-        )
+        self._values: dict[str, float] = {}
+        try:
+            self._values = sealed.read_json(file)
+        except FileNotFoundError:
+            pass
+        except ValueError:
+            say(f"{file.name} was damaged and is computed again")
         self._of_reference = hashlib.sha256(reference.tobytes())
 
     def value(self, metric: str, pair: Pair) -> float:
@@ -148,4 +156,4 @@ class _Known:
 
     def save(self) -> None:
         """Keep the values for the next run."""
-        atomic.write_text(self._file, json.dumps(self._values))
+        sealed.write_json(self._file, self._values)

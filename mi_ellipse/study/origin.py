@@ -10,11 +10,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import mitsuba as mi
-import numpy as np
 
 from ..files import images, sealed
 from ..rendering.scene import parse_scene
 from .gallery import settings
+from .reference import Half
 
 FILE = "made_from.json"
 DIGEST = "scene_digest"
@@ -75,7 +75,7 @@ def claim(folder: Path, scene_file: Path, parameters: Mapping[str, str]) -> list
         before = Origin(**sealed.read_json(file))
     except FileNotFoundError:
         pass
-    except (ValueError, TypeError):
+    except ValueError:
         damaged.append(FILE)
 
     changes = now.changes(before) if before else _changes_of_pictures(folder, now)
@@ -108,10 +108,9 @@ def _changes_of_halves(folder: Path, now: Origin) -> list[str]:
     """Return what the halves of a reference say of changes; they are never made from two scenes."""
     for file in sorted(folder.glob("reference/half_?.npz")):
         try:
-            with np.load(file) as saved:
-                found = json.loads(str(saved["settings"]))
-        except Exception:  # What a damaged file raises has no common type. It is mended later.
-            continue
+            found = json.loads(Half.read(file).settings)
+        except ValueError:
+            continue  # A damaged half is rendered again.
         if changes := _changes_of_settings(found, now.settings):
             return changes
     return []

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 import os
 from collections.abc import Mapping
@@ -12,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..files import atomic, images
+from ..files import atomic, images, sealed
 from ..files.images import Image
 from ..rendering.job import Timing
 from .album import Album
@@ -28,7 +27,7 @@ EQUAL_TIME = "equal time"
 TOLERATED_REFERENCE_ERROR = 0.05
 
 # Of `results.json`; to be raised when its entries change.
-FORMAT = 2
+FORMAT = 3
 
 
 @dataclass(frozen=True)
@@ -129,8 +128,7 @@ def write(comparison: Comparison) -> tuple[Path, Path]:
     files = comparison.folder / "results.csv", comparison.folder / "results.json"
     atomic.write_text(files[0], table.getvalue())
     # JSON knows no NaN: without a second seed there is no standard error and no interval.
-    text = json.dumps(_without_nan(_document(comparison)), indent=1, allow_nan=False)
-    atomic.write_text(files[1], text + "\n")
+    sealed.write_json(files[1], _without_nan(_document(comparison)))
     return files
 
 
@@ -245,19 +243,17 @@ def read(folder: str | os.PathLike[str]) -> Comparison:
             f"{folder} holds no finished comparison (results.json is missing): name the folder that"
             " `mi-ellipse compare` wrote to"
         )
+    remedy = "run `mi-ellipse compare` with the same arguments again"
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-        found = document.get("format") if isinstance(document, dict) else None
-        if found != FORMAT:
-            raise ValueError(
-                f"{file} has format {found}, and this version reads {FORMAT}: run `mi-ellipse"
-                " compare` with the same arguments again"
-            )
-        return _comparison(folder, document)
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{file} is damaged: {error}") from None
-    except (KeyError, TypeError) as error:
-        raise ValueError(f"{file} is damaged: it lacks or misspells {error}") from None
+        document = sealed.parse(file)
+        if document.get("format") == FORMAT:
+            sealed.verify(file, document)
+            return _comparison(folder, document)
+    except ValueError as error:
+        raise ValueError(f"{error}; {remedy}") from None
+    raise ValueError(
+        f"{file} has format {document.get('format')}, and this version reads {FORMAT}; {remedy}"
+    )
 
 
 def _comparison(folder: Path, document: dict[str, Any]) -> Comparison:

@@ -12,11 +12,11 @@ import numpy as np
 from ..files import images
 from ..files.lock import only_one
 from ..rendering.provenance import machine
-from . import origin, results
+from . import origin, results, tidying
 from .album import Album
 from .checks import Request, check
 from .drawing.insets import Inset
-from .gallery import Gallery, Task, settings
+from .gallery import Gallery, Stock, Task, settings
 from .measuring import Key, Pictures, Progress, measure, median, summarize
 from .reference import render_reference
 from .results import EQUAL_SAMPLES, EQUAL_TIME, Comparison, Measurement
@@ -89,6 +89,7 @@ def compare(
     check(request)
     request.folder.mkdir(parents=True, exist_ok=True)
     with only_one(request.folder):
+        tidying.remove_remains(request.folder)
         for name in origin.claim(request.folder, request.scene_file, request.parameters):
             say(f"{name} was damaged and is made again")
         comparison = _run(request, progress, say)
@@ -101,14 +102,14 @@ def _run(request: Request, progress: Progress, say: Callable[[str], None]) -> Co
     scene_file, parameters, folder = request.scene_file, request.parameters, request.folder
     strategies, spp, seeds = request.strategies, request.spp, request.seeds
     # Pictures come first: they show within seconds whether the scene renders at all.
-    gallery = Gallery(folder / "pictures", scene_file, parameters)
+    album = Album()
+    gallery = Gallery(folder / "pictures", scene_file, parameters, album)
     grid = [(name, count) for name in strategies for count in spp]
     pictures = _fill(gallery, grid, seeds, EQUAL_SAMPLES, progress, say)
     matches = _match_times(strategies, spp, pictures)
     grid = [key for key in dict.fromkeys(matches.values()) if key not in pictures]
     pictures |= _fill(gallery, grid, seeds, EQUAL_TIME, progress, say)
 
-    album = Album()
     reference = render_reference(
         folder / "reference",
         scene_file,
@@ -118,7 +119,7 @@ def _run(request: Request, progress: Progress, say: Callable[[str], None]) -> Co
         say,
         album=album,
     )
-    values = measure(folder, pictures, reference, album, progress)
+    values = measure(folder, pictures, reference, album, progress, say)
     measurements: list[Measurement] = []
     for count in spp:
         keys = [(name, count) for name in strategies]
@@ -133,8 +134,11 @@ def _run(request: Request, progress: Progress, say: Callable[[str], None]) -> Co
         tuple(measurements), album,
     )  # fmt: skip
     results.write(comparison)
-    _write_pngs(comparison)
-    _write_parts(comparison)
+    kept = [picture.file for group in pictures.values() for picture in group]
+    kept += _write_pngs(comparison)
+    kept += _write_parts(comparison)
+    if moved := tidying.put_away(gallery.folder, kept):
+        say(f"Pictures of earlier runs: {moved} files were moved to {tidying.EARLIER}/pictures")
     return comparison
 
 
@@ -171,25 +175,37 @@ def _fill(
 ) -> Pictures:
     """Render the pictures that are missing, and return all of them."""
     tasks = {key: [Task(seed, *key) for seed in range(1, seeds + 1)] for key in grid}
-    wanted = [task for group in tasks.values() for task in group]
-    found = {task: picture for task in wanted if (picture := gallery.find(task)) is not None}
-    missing = [task for task in wanted if task not in found]
-    if found:
-        say(f"Pictures at {step}: {len(found)} of {len(wanted)} reused")
-    if outdated := sum(gallery.holds(task) for task in missing):
-        say(f"Pictures at {step}: {outdated} were made with other settings and are replaced")
+    stock = gallery.take_stock([task for group in tasks.values() for task in group])
+    _report_stock(stock, step, say)
 
-    done, total = 0, sum(task.spp for task in missing)
+    done, total = 0, sum(task.spp for task in stock.wanted)
 
     def count(task: Task) -> None:
         nonlocal done
         done += task.spp
         progress(step, done, total)
 
-    if missing:
+    found = stock.pictures
+    if stock.wanted:
         progress(step, 0, total)
-        found |= gallery.render(missing, count)
+        found = found | gallery.render(stock.wanted, count)
     return {key: tuple(found[task] for task in group) for key, group in tasks.items()}
+
+
+def _report_stock(stock: Stock, step: str, say: Callable[[str], None]) -> None:
+    """Say which pictures are used again and which are not."""
+    reused, total = len(stock.pictures), len(stock.pictures) + len(stock.wanted)
+    if reused:
+        say(f"Pictures at {step}: {reused} of {total} reused")
+    if stock.outdated:
+        count = len(stock.outdated)
+        say(f"Pictures at {step}: {count} were made with other settings and are replaced")
+    for task in stock.damaged:
+        say(f"pictures/{task.name}.exr was damaged and is rendered again")
+    # Where most of the pictures are missing, the run before was interrupted.
+    if len(stock.missing) < reused:
+        for task in stock.missing:
+            say(f"pictures/{task.name}.exr is missing and is rendered")
 
 
 def _match_times(
@@ -207,14 +223,18 @@ def _match_times(
     return matches
 
 
-def _write_pngs(comparison: Comparison) -> None:
+def _write_pngs(comparison: Comparison) -> list[Path]:
     """Write the pictures of the first seed for the screen, all with the same exposure."""
-    shown = {one.pictures[0].file: comparison.image(one) for one in comparison.measurements}
+    shown = {
+        one.pictures[0].file.with_suffix(".png"): comparison.image(one)
+        for one in comparison.measurements
+    }
     for file, image in shown.items():
-        images.write_png(file.with_suffix(".png"), image, comparison.exposure)
+        images.write_png(file, image, comparison.exposure)
+    return list(shown)
 
 
-def _write_parts(comparison: Comparison) -> None:
+def _write_parts(comparison: Comparison) -> list[Path]:
     """
     Write one file a number of samples to step through in a viewer, in half precision.
 
@@ -222,6 +242,7 @@ def _write_parts(comparison: Comparison) -> None:
     (picture minus reference) of each.
     """
     reference = comparison.reference_image()
+    files = []
     for spp in comparison.spp:
         shown = [comparison.find(EQUAL_SAMPLES, name, spp) for name in comparison.strategies]
         pictures = {one.sampling: comparison.image(one) for one in shown}
@@ -238,3 +259,5 @@ def _write_parts(comparison: Comparison) -> None:
         half = all(np.abs(part).max() <= LARGEST_HALF for part in parts.values())
         file = comparison.folder / "pictures" / f"all_{spp}spp.exr"
         images.write_parts(file, parts, about, half=half)
+        files.append(file)
+    return files

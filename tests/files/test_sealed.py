@@ -31,7 +31,7 @@ def test_no_altered_byte_changes_the_content_in_silence(tmp_path):
         assert found == CONTENT  # The byte was white space between the entries.
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", "null", json.dumps(CONTENT), '{"content": 1}'])
+@pytest.mark.parametrize("text", ["", "[]", "{}", "null", json.dumps(CONTENT), '{"checksum": 1}'])
 def test_other_files_are_refused(tmp_path, text):
     file = tmp_path / "a.json"
     file.write_text(text)

@@ -22,9 +22,10 @@ def test_second_run_reuses_everything(finished, count_renders):
 
 def test_other_seeds_and_counts_are_missing(finished):
     gallery = Gallery(finished.folder / "pictures", finished.scene_file, {"radiance": "2"})
-    assert gallery.find(Task(2, "area", 8))
-    assert gallery.find(Task(3, "area", 8)) is None
-    assert gallery.find(Task(2, "area", 4)) is None
+    tasks = [Task(2, "area", 8), Task(3, "area", 8), Task(2, "area", 4)]
+    stock = gallery.take_stock(tasks)
+    assert list(stock.pictures) == tasks[:1]
+    assert stock.missing == stock.wanted == tasks[1:]
 
 
 @pytest.mark.parametrize("change", ["parameters", "scene", "variant", "code"])
@@ -40,15 +41,15 @@ def test_other_settings_do_not_fit(finished, tmp_path, monkeypatch, change):
     else:
         monkeypatch.setattr(provenance, "picture_digest", lambda: "other")
     gallery = Gallery(finished.folder / "pictures", scene_file, parameters)
-    assert gallery.holds(Task(1, "area", 8))
-    assert gallery.find(Task(1, "area", 8)) is None
+    task = Task(1, "area", 8)
+    assert gallery.take_stock([task]).outdated == [task]
 
 
 def test_comments_and_the_name_of_the_file_do_not_matter(finished, tmp_path):
     scene_file = tmp_path / "other.xml"
     scene_file.write_text(SMALL_SCENE.replace("<sensor", "<!-- a comment --> <sensor"))
     gallery = Gallery(finished.folder / "pictures", scene_file, {"radiance": "2"})
-    assert gallery.find(Task(1, "area", 8))
+    assert gallery.take_stock([Task(1, "area", 8)]).pictures
 
 
 def test_pictures_of_other_code_are_replaced(small_scene, tmp_path, monkeypatch):
@@ -88,5 +89,6 @@ def test_pictures_of_either_choice_of_lamps_are_kept_apart(small_scene, tmp_path
     grouped, other = (tmp_path / "pictures" / f"{name}_2spp_seed1.exr" for name in names)
     grouped.write_bytes(other.read_bytes())
     gallery = Gallery(tmp_path / "pictures", small_scene, {})
-    assert gallery.find(Task(1, names[0], 2)) is None
-    assert gallery.find(Task(1, names[1], 2))
+    tasks = [Task(1, name, 2) for name in names]
+    stock = gallery.take_stock(tasks)
+    assert (stock.outdated, list(stock.pictures)) == (tasks[:1], tasks[1:])

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from ...files import atomic
 from ..results import EQUAL_SAMPLES, EQUAL_TIME, Comparison
+from ..tidying import put_away
 from .curves import draw_curves
 from .grid import picture_grid
 from .insets import Inset, check_inside, choose_insets
@@ -32,6 +33,8 @@ def write_figures(comparison: Comparison, insets: Sequence[Inset] | None = None)
     """
     Draw all figures of a comparison, and write them to ``figures/`` in its folder.
 
+    Figures of earlier runs that this one does not draw are put away.
+
     Parameters
     ----------
     comparison
@@ -50,23 +53,26 @@ def write_figures(comparison: Comparison, insets: Sequence[Inset] | None = None)
     check_inside(insets, comparison.reference_image().shape)
 
     grids, lines = {}, {}
+    files: list[Path] = []
     for kind in (EQUAL_SAMPLES, EQUAL_TIME):
         for spp in comparison.spp:
             file = folder / f"pictures_{kind.replace(' ', '_')}_{spp}spp.png"
             figure = picture_grid(comparison, kind, spp, insets)
-            _save(figure, file, file.with_suffix(".pdf"))
+            files += _save(figure, file, file.with_suffix(".pdf"))
             grids[kind, spp] = file
     for name, figure in draw_curves(comparison).items():
         file = folder / f"{name}.svg"
-        _save(figure, file, file.with_suffix(".png"), file.with_suffix(".pdf"))
+        files += _save(figure, file, file.with_suffix(".png"), file.with_suffix(".pdf"))
         lines[name] = file
+    put_away(folder, files)
     return Figures(grids, lines)
 
 
-def _save(figure: Figure, *files: Path) -> None:
+def _save(figure: Figure, *files: Path) -> tuple[Path, ...]:
     for file in files:
         # Each SVG has its own salt: names of clip paths must differ within a page.
         style = TEXT | {"svg.hashsalt": file.stem}
         about: dict[str, Any] = {"metadata": {"Date": None}} if file.suffix == ".svg" else {}
         with mpl.rc_context(style), atomic.replacement(file) as temporary:
             figure.savefig(temporary, dpi=300, **about)
+    return files
