@@ -75,7 +75,7 @@ def run(
                 progress,
                 console.print,
                 regions,
-                lambda comparison: draw(comparison, regions, console),
+                lambda comparison: draw(comparison, regions, console, progress),
             )
     names = ("report.html", "results.csv", "results.json", "figures")
     print(", ".join(str(output / name) for name in names))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +12,8 @@ from rich.console import Console
 from ..files.lock import only_one
 from .options import Insets, parse_insets
 from .process import interrupt_ends_process, one_line_errors
+from .progress import step_bars
+from .summary import print_summary
 
 if TYPE_CHECKING:
     from ..study.results import Comparison
@@ -27,19 +30,23 @@ def run(
         from ..study import results
 
         comparison = results.read(folder)
-        with only_one(folder):
-            draw(comparison, regions, Console(stderr=True))
+        console = Console(stderr=True)
+        with only_one(folder), step_bars(console) as progress:
+            draw(comparison, regions, console, progress)
     print(f"{folder / 'report.html'}, {folder / 'figures'}")
 
 
 def draw(
-    comparison: Comparison, insets: list[tuple[int, int, int, int]] | None, console: Console
+    comparison: Comparison,
+    insets: list[tuple[int, int, int, int]] | None,
+    console: Console,
+    progress: Callable[[str, int, int], None],
 ) -> None:
-    """Write the figures and the report of a comparison, and repeat its warnings."""
+    """Write the figures and the report of a comparison, and print its numbers and warnings."""
     from ..study import drawing, report
 
-    console.print("Drawing the figures and the report")
-    figures = drawing.write_figures(comparison, insets)
+    figures = drawing.write_figures(comparison, insets, progress)
     report.write_report(comparison, insets, figures)
+    print_summary(comparison, console)
     for warning in comparison.warnings():
         console.print(f"WARNING: {warning}", style="bold red")

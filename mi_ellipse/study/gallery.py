@@ -1,10 +1,9 @@
-"""Render the pictures of a comparison with their times, and keep them for the next run."""
+"""Render the pictures of a comparison, and keep them for the next run."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import mitsuba as mi
@@ -14,7 +13,7 @@ from ..files import images
 from ..files.images import Image
 from ..rendering import provenance
 from ..rendering.executor import LocalExecutor
-from ..rendering.job import Rendering, RenderJob, Timing
+from ..rendering.job import Rendering, RenderJob
 from . import tidying
 from .album import Album
 from .kinds import split
@@ -40,8 +39,6 @@ class Picture:
     file: Path
     task: Task
     spp: int  # as taken: some samplers round up
-    timing: Timing  # after a warm-up
-    warm_up: Timing
 
 
 @dataclass
@@ -64,9 +61,8 @@ class Gallery:
     The pictures of one scene in one folder.
 
     A picture counts as there if it was made with the same settings: scene and the files it names,
-    parameters, variant, samples, seed, strategy, grouping, versions, the package's own rendering
-    code, and the machine, since its times are kept with it. Pictures of earlier runs, which were
-    put away, count as well.
+    parameters, variant, samples, seed, strategy, grouping, versions and the package's own rendering
+    code. Pictures of earlier runs, which were put away, count as well.
     """
 
     def __init__(
@@ -80,11 +76,9 @@ class Gallery:
         self.scene_file = scene_file
         self.parameters = dict(parameters)
         self._album = album or Album()
-        self._settings = settings(scene_file, parameters)
-        self._settings |= {
-            "picture_digest": provenance.picture_digest(),
-            "machine": provenance.machine(),
-        }
+        self.machine = provenance.machine()  # that renders
+        self.settings = settings(scene_file, parameters)
+        self.settings |= {"picture_digest": provenance.picture_digest()}
 
     def take_stock(self, tasks: Sequence[Task]) -> Stock:
         """Read the pictures that are there, and tell which of them can be used."""
@@ -109,42 +103,30 @@ class Gallery:
 
     def _picture(self, task: Task, found: Mapping[str, str]) -> Picture | None:
         """Return what a file says of its picture, or None if it was made with other settings."""
-        wanted = self._settings | _settings_of(task)
+        wanted = self.settings | _settings_of(task)
         if any(found.get(name) != value for name, value in wanted.items()):
             return None
-        timing, warm_up = (Timing(**json.loads(found[name])) for name in ("timing", "warm_up"))
-        return Picture(self._file(task), task, int(found["spp"]), timing, warm_up)
+        return Picture(self._file(task), task, int(found["spp"]))
 
     def render(
         self, tasks: Sequence[Task], progress: Callable[[Task], None]
     ) -> dict[Task, Picture]:
-        """
-        Render pictures and write them, in an order that is fair to the strategies.
-
-        Strategies take turns, so that a machine that slows down slows all of them. The pictures are
-        rendered on this machine, one at a time, since their times are compared.
-        """
-        self.folder.mkdir(parents=True, exist_ok=True)
-        jobs = {task: self._job(task) for task in sorted(tasks)}
+        """Render pictures whose times are not asked for, and write them."""
+        tasks = sorted(tasks)
         pictures = {}
-        with LocalExecutor() as executor:
-            renderings = executor.map(RenderJob.run, jobs.values())
-            for (task, job), rendering in zip(jobs.items(), renderings, strict=True):
-                image = colour(rendering, f"{task.sampling} at {task.spp} spp, seed {task.seed}")
-                pictures[task] = self._write(task, job, rendering, image)
-                progress(task)
+        renderings = self.run([self.job(task) for task in tasks])
+        for task, rendering in zip(tasks, renderings, strict=True):
+            pictures[task] = self.keep(task, rendering)
+            progress(task)
         return pictures
 
-    def _write(self, task: Task, job: RenderJob, rendering: Rendering, image: Image) -> Picture:
-        assert rendering.warm_up is not None  # Each job of the gallery asks for it.
-        times = {"timing": rendering.timing, "warm_up": rendering.warm_up}
-        description = provenance.describe(job, rendering) | self._settings | _settings_of(task)
-        description |= {name: json.dumps(asdict(time)) for name, time in times.items()}
-        images.write_exr(self._file(task), image, description)
-        self._album.keep_if_small(self._file(task), image)
-        return Picture(self._file(task), task, rendering.spp, rendering.timing, rendering.warm_up)
+    def run(self, jobs: Sequence[RenderJob]) -> Generator[Rendering, None, None]:
+        """Yield the renderings of jobs, rendered one at a time on one machine, in their order."""
+        with LocalExecutor() as executor:
+            yield from executor.map(RenderJob.run, jobs)
 
-    def _job(self, task: Task) -> RenderJob:
+    def job(self, task: Task, warm_up: bool = False) -> RenderJob:
+        """Return the job of a picture; with a `warm_up` where its time is asked for."""
         strategy, grouping = split(task.sampling)
         return RenderJob(
             self.scene_file,
@@ -153,9 +135,27 @@ class Gallery:
             strategy,
             task.spp,
             task.seed,
-            warm_up=True,
+            warm_up=warm_up,
             grouping=grouping,
         )
+
+    def keep(self, task: Task, rendering: Rendering) -> Picture:
+        """
+        Write a picture with its settings.
+
+        Raises
+        ------
+        ValueError
+            If it has no colour, or pixels that are not finite, see :func:`colour`.
+        """
+        image = colour(rendering, f"{task.sampling} at {task.spp} spp, seed {task.seed}")
+        description = provenance.describe(self.job(task), rendering)
+        description |= self.settings | _settings_of(task)
+        file = self._file(task)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        images.write_exr(file, image, description)
+        self._album.keep_if_small(file, image)
+        return Picture(file, task, rendering.spp)
 
     def _file(self, task: Task) -> Path:
         return self.folder / f"{task.name}.exr"

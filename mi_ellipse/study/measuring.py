@@ -6,8 +6,6 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from ..files import sealed
 from ..files.images import Image
 from .album import Album
@@ -16,9 +14,7 @@ from .metrics import METRICS, Pair
 from .reference import Reference
 from .results import Measurement
 from .statistics import efficiency, estimate
-
-# Strategy, and samples per pixel as asked for
-Key = tuple[str, int]
+from .timing import Key, TimedPair, Times
 
 # One picture a seed
 Pictures = dict[Key, tuple[Picture, ...]]
@@ -70,7 +66,11 @@ def measure(
 
 
 def summarize(
-    kind: str, keys: Sequence[Key], pictures: Pictures, values: Mapping[Key, Values]
+    kind: str,
+    keys: Sequence[Key],
+    pictures: Pictures,
+    values: Mapping[Key, Values],
+    times: Times,
 ) -> list[Measurement]:
     """
     Gather what is known of strategies that are compared with one another.
@@ -83,44 +83,39 @@ def summarize(
         The strategies and their samples; all are compared with the first one.
     pictures, values
         All pictures, and their errors.
+    times
+        Those of the strategies beside the first one.
     """
-    return [_summarize(kind, key, keys[0], pictures, values) for key in keys]
+    return [_summarize(kind, key, keys[0], pictures, values, times) for key in keys]
 
 
 def _summarize(
-    kind: str, key: Key, first: Key, pictures: Pictures, values: Mapping[Key, Values]
+    kind: str,
+    key: Key,
+    first: Key,
+    pictures: Pictures,
+    values: Mapping[Key, Values],
+    times: Times,
 ) -> Measurement:
     group = pictures[key]
-    efficiencies = {
-        name: efficiency(
-            values[first][name], _seconds(pictures[first]), values[key][name], _seconds(group)
-        )
-        for name, metric in METRICS.items()
-        if metric.efficiency
-    }
+    paired = tuple(times[TimedPair(kind, first, key, picture.task.seed)] for picture in group)
+    first_seconds = [time.first_seconds for time in paired]
+    seconds = [time.timing.total for time in paired]
     return Measurement(
         kind=kind,
         sampling=key[0],
         spp=key[1],
         first_spp=first[1],
         pictures=group,
+        times=paired,
         values=values[key],
         errors={metric: estimate(of_seeds) for metric, of_seeds in values[key].items()},
-        seconds=median(group, "total"),
-        tracing_seconds=median(group, "tracing"),
-        execution_seconds=median(group, "execution"),
-        compilation_seconds=max(one.warm_up.compilation for one in group),
-        efficiency=efficiencies,
+        efficiency={
+            name: efficiency(values[first][name], first_seconds, values[key][name], seconds)
+            for name, metric in METRICS.items()
+            if metric.efficiency
+        },
     )
-
-
-def median(pictures: Sequence[Picture], part: str) -> float:
-    """Return the median seconds of a part of the renders, see `Timing`."""
-    return float(np.median([getattr(picture.timing, part) for picture in pictures]))
-
-
-def _seconds(pictures: Sequence[Picture]) -> list[float]:
-    return [picture.timing.total for picture in pictures]
 
 
 def _measure(image: Image, truth: Image, known: _Known) -> dict[str, float]:

@@ -64,17 +64,24 @@ def test_pictures_of_other_code_are_replaced(small_scene, tmp_path, monkeypatch)
 
 
 def test_pictures_go_on_after_an_interruption(small_scene, tmp_path, count_renders):
-    # A warm-up and two counts for each strategy and seed: 12 renders.
-    count_renders.stop_after = 5
+    """Finished turns keep their times, and an interrupted one its pictures."""
+    # A turn: two counts of the first strategy, of the other and of the first again; a warm-up each
+    # where the scene is loaded.
+    count_renders.stop_after = 9 + 3
     with pytest.raises(KeyboardInterrupt):
         run(small_scene, tmp_path / "out")
-    kept = [file.name for file in (tmp_path / "out" / "pictures").iterdir()]
-    assert len(kept) == 3
+    kept = sorted(file.name for file in (tmp_path / "out" / "pictures").iterdir())
+    first_turn = [
+        f"{name}_{spp}spp_seed1.exr" for name in ("area", "solid_angle") for spp in (2, 8)
+    ]
+    assert kept == sorted([*first_turn, "area_2spp_seed2.exr", "area_8spp_seed2.exr"])
 
     count_renders.stop_after, count_renders.made = None, []
     said = []
     run(small_scene, tmp_path / "out", said)
-    assert said[0] == "Pictures at equal samples: 3 of 8 reused"
+    assert said[0] == "Pictures at equal samples: 6 of 8 reused"
+    equal_samples = [one for one in count_renders.made[:9] if one[1] == 2]
+    assert len(equal_samples) == 9  # the second turn alone
 
 
 def test_pictures_of_either_choice_of_lamps_are_kept_apart(small_scene, tmp_path):

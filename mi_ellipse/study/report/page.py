@@ -16,8 +16,14 @@ from simpleimageio import flip
 from ...files import atomic
 from ..drawing import Figures, Inset, style_of, write_figures
 from ..metrics import METRICS
-from ..results import EQUAL_SAMPLES, EQUAL_TIME, Comparison, Measurement
-from ..statistics import CONFIDENCE, Efficiency, Estimate, is_best
+from ..results import (
+    EQUAL_SAMPLES,
+    EQUAL_TIME,
+    TOLERATED_TIME,
+    Comparison,
+    Measurement,
+)
+from ..statistics import CONFIDENCE, Efficiency, Estimate, Spread, is_best
 
 
 def write_report(
@@ -63,6 +69,7 @@ def write_report(
         comparison=comparison,
         metrics=METRICS,
         confidence=f"{CONFIDENCE:.0%}".replace("%", " %"),
+        tolerated=f"{100 * TOLERATED_TIME:.0f} %",
         curves=[_svg(file) for file in figures.curves.values()],
         grids={spp: _base64(figures.grids[EQUAL_SAMPLES, spp]) for spp in comparison.spp},
     )
@@ -174,17 +181,27 @@ def _columns(columns: list[list[_Cell]]) -> list[list[_Cell]]:
 
 
 def _error_cells(group: Sequence[Measurement], metric: str, seeds: int) -> list[_Cell]:
-    """Return a column of the table of errors; the best one is the smallest."""
+    """
+    Return a column of the table of errors; the best one is the smallest.
+
+    None is best at equal time where a strategy took another time.
+    """
     ends = [one.errors[metric].interval(seeds) for one in group]
-    best = _best([(-high, -low) for low, high in ends])
+    comparable = not any(one.is_off for one in group if one.kind == EQUAL_TIME)
+    best = [comparable and one for one in _best([(-high, -low) for low, high in ends])]
     texts = [_with_error(one.errors[metric]) for one in group]
     return [_Cell(*cell) for cell in zip(texts, best, strict=True)]
 
 
 def _efficiency_cells(group: Sequence[Measurement], metric: str) -> list[_Cell]:
-    """Return a column of the table of costs; the best one is the largest."""
+    """
+    Return a column of the table of costs; the best one is the largest.
+
+    None is best where the first strategy did not take as long as itself.
+    """
     found = [one.efficiency[metric] for one in group]
-    best = _best([(one.low, one.high) for one in found])
+    steady = not group[0].is_off
+    best = [steady and one for one in _best([(one.low, one.high) for one in found])]
     texts = [_with_interval(one) for one in found]
     return [_Cell(*cell) for cell in zip(texts, best, strict=True)]
 
@@ -198,8 +215,15 @@ def _best(intervals: list[tuple[float, float]]) -> list[bool]:
 
 
 def _times(one: Measurement) -> list[_Cell]:
-    seconds = (one.seconds, one.tracing_seconds, one.execution_seconds, one.compilation_seconds)
-    return [_Cell(f"{value:.3f}") for value in seconds]
+    spreads = [_with_spread(one.ratio, 2), _with_spread(one.seconds, 3)]
+    seconds = (one.tracing_seconds, one.execution_seconds, one.compilation_seconds)
+    return [_Cell(text) for text in [*spreads, *(f"{value:.3f}" for value in seconds)]]
+
+
+def _with_spread(one: Spread, digits: int) -> str:
+    if one.low == one.high:
+        return f"{one.median:.{digits}f}"
+    return f"{one.median:.{digits}f} [{one.low:.{digits}f}, {one.high:.{digits}f}]"
 
 
 def _with_error(error: Estimate) -> str:
