@@ -5,17 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import mitsuba as mi
 import typer
 from rich.console import Console
 
+from ..rendering.scene import set_variant
 from .options import (
     DEFAULT_VARIANT,
+    ConvertLamps,
     Definitions,
     Grouping,
     Insets,
+    Integrator,
+    Resolution,
     SceneFile,
+    Sensor,
     Variant,
+    parse_changes,
     parse_definitions,
     parse_insets,
     parse_integers,
@@ -31,8 +36,9 @@ def run(
         str,
         typer.Option(
             metavar="NAME,…",
-            help="Strategies; all are compared with the first. `NAME+ungrouped` leaves the choice"
-            " of the lamp to Mitsuba.",
+            help="Strategies; all are compared with the first. `ID=NAME+NAME` chooses for the lamp"
+            " of an id and for the others. `NAME+ungrouped` leaves the choice of the lamp to"
+            " Mitsuba. The names stand below.",
         ),
     ],
     spp: Annotated[str, typer.Option(metavar="N,…", help="Samples per pixel.")],
@@ -45,11 +51,16 @@ def run(
     ] = 4,
     variant: Variant = DEFAULT_VARIANT,
     grouping: Grouping = True,
+    convert_lamps: ConvertLamps = False,
+    sensor: Sensor = None,
+    integrator: Integrator = None,
+    resolution: Resolution = None,
     insets: Insets = None,
     definitions: Definitions = None,
 ) -> None:
     """Compare sampling strategies: errors, times, figures and a report to look at."""
     parameters = parse_definitions(definitions)
+    changes = parse_changes(convert_lamps, sensor, integrator, resolution)
     counts = parse_integers("--spp", spp)
     regions = parse_insets(insets)
     strategies = [name.strip() for name in sampling.split(",")]
@@ -61,7 +72,7 @@ def run(
 
         if not grouping:
             strategies = [ungrouped(name) for name in strategies]
-        mi.set_variant(variant)
+        set_variant(variant)
         console = Console(stderr=True)
         with step_bars(console) as progress:
             compare(
@@ -73,9 +84,10 @@ def run(
                 seeds,
                 parameters,
                 progress,
-                console.print,
+                lambda text: console.print(text, markup=False, highlight=False, soft_wrap=True),
                 regions,
                 lambda comparison: draw(comparison, regions, console, progress),
+                changes,
             )
     names = ("report.html", "results.csv", "results.json", "figures")
     print(", ".join(str(output / name) for name in names))

@@ -38,6 +38,8 @@ STRUCTURE = {
 # OpenEXR sorts the channels of a file by name; a picture has them in this order in each layer.
 CHANNEL_ORDER = "RGBXYZA"
 
+SUM = "sum"  # Name of the part that holds the sum behind a picture
+
 Image = NDArray[np.float32]
 Metadata = Mapping[str, str | int | float]
 Planes = dict[str, NDArray[Any]]  # pixels (height, width) by the names of their channels
@@ -121,6 +123,60 @@ def write_parts(
         pixels = _pixels(image, None, half)
         made.append(OpenEXR.Part(_header(metadata, pixels), pixels, name))
     _write(path, OpenEXR.File(made))
+
+
+def write_with_sum(
+    path: str | PathLike[str],
+    image: ArrayLike,
+    total: NDArray[np.float64],
+    metadata: Metadata,
+    channels: tuple[str, ...],
+) -> None:
+    """
+    Write a picture with the sum that it was made from, to the last bit.
+
+    OpenEXR knows no double precision. So the file has a second part, whose channels are pairs of
+    integers. Programs that read one part see the picture alone.
+
+    Parameters
+    ----------
+    path, image, metadata, channels
+        See :func:`write_exr`.
+    total
+        Array of the shape of `image`.
+    """
+    bits = np.ascontiguousarray(total).view(np.uint32).reshape(*total.shape, 2)
+    words = {
+        f"{name}.{word}": np.ascontiguousarray(bits[..., i, word])
+        for i, name in enumerate(channels)
+        for word in (0, 1)
+    }
+    pixels = _pixels(image, channels, False)
+    parts = [
+        OpenEXR.Part(_header(metadata, pixels), pixels, "picture"),
+        OpenEXR.Part(_header(None, words), words, SUM),
+    ]
+    _write(path, OpenEXR.File(parts))
+
+
+def read_sum(path: str | PathLike[str], channels: tuple[str, ...]) -> NDArray[np.float64]:
+    """
+    Return the sum that :func:`write_with_sum` has written.
+
+    Raises
+    ------
+    ValueError
+        If the file holds none, has other channels, or is damaged.
+    OSError
+        If it cannot be read.
+    """
+    for part in _open(path).parts:
+        if part.name() == SUM and len(part.channels) == 2 * len(channels):
+            planes = _planes(path, part)
+            words = [[planes[f"{name}.{word}"] for word in (0, 1)] for name in channels]
+            bits = np.moveaxis(np.array(words, dtype=np.uint32), (0, 1), (-2, -1))
+            return np.ascontiguousarray(bits).view(np.float64)[..., 0]
+    raise ValueError(f"{path}: the file holds no sum of the channels {', '.join(channels)}")
 
 
 def fits_half(image: ArrayLike) -> bool:
@@ -298,12 +354,16 @@ def _channel_names(part: Any) -> tuple[str, ...]:
 
 
 def _image(path: str | PathLike[str], part: Any) -> Image:
+    return np.stack(list(_planes(path, part).values()), axis=-1).astype(np.float32)
+
+
+def _planes(path: str | PathLike[str], part: Any) -> Planes:
     """Return the pixels of a part, if they are those that were written."""
     planes = {name: part.channels[name].pixels for name in _channel_names(part)}
     wanted = part.header.get(CHECKSUM)
     if wanted is not None and wanted != _checksum(_texts(part.header), planes):
         raise ValueError(f"{path}: the OpenEXR file is damaged: its checksum is wrong")
-    return np.stack(list(planes.values()), axis=-1).astype(np.float32)
+    return planes
 
 
 # ---- For the screen ----

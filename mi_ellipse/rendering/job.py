@@ -15,12 +15,15 @@ import mitsuba as mi
 
 from ..plugins.grouping import group_lamps
 from . import passes, provenance
-from .passes import Progress, Rendering, Timing
-from .scene import ParsedScene, instantiate, parse_scene
+from .changes import UNCHANGED, Changes
+from .passes import MAX_SAMPLES_PER_PASS, NOTHING, Finished, Progress, Rendering, Stop, Timing
+from .rewrite import Conversion
+from .scene import ParsedScene, instantiate, parse_scene, set_variant
 
-__all__ = ["Parameters", "Plan", "RenderJob", "Rendering", "Stage", "Timing"]
+__all__ = ["Changes", "Parameters", "Plan", "RenderJob", "Rendering", "Stage", "Timing"]
 
 MAX_SEED = 2**32 - 1
+MAX_SPP = 2**32 - 1  # that a sampler of Mitsuba can count
 
 
 class Parameters(Mapping[str, str]):
@@ -52,6 +55,9 @@ class Plan:
     sizes: tuple[int, ...]  # samples per pixel of each pass
     film_size: tuple[int, int]  # width and height in pixels, of the part that is rendered
     loses_stratification: bool  # the passes are noisier together than a single one
+    scene_digest: str  # see `provenance.scene_digest`
+    conversion: Conversion | None = None  # what became of built-in lamps, where a job converts them
+    sensors: tuple[str, ...] = ()  # of the scene, by id or number
 
     @property
     def spp(self) -> int:
@@ -77,31 +83,40 @@ class RenderJob:
     scene: Path  # XML file
     parameters: Mapping[str, str] = dataclasses.field(default_factory=Parameters)
     variant: str = "llvm_ad_rgb"
-    sampling: str | None = None  # of every `ellipticalarea`; None: as the scene says
+    # Of all lamps, or of single ones, see `rewrite.choose_sampling`; None: as the scene says
+    sampling: str | None = None
     spp: int | None = None  # samples per pixel; None: the scene's own number
     seed: int = 0
     # Render once beforehand, unless a job has done so since the scene was loaded. It compiles the
     # kernel, which is the same for every number of samples.
     warm_up: bool = False
     grouping: bool = True  # Two or more lamps choose among themselves; False: Mitsuba's choice
+    changes: Changes = UNCHANGED  # Of lamps, sensor, integrator and resolution
+    short_passes: bool = False  # of about a second each, see `passes.plan_passes`
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", Path(self.scene))
         object.__setattr__(self, "parameters", Parameters(self.parameters))
-        if self.spp is not None and self.spp < 1:
-            raise ValueError(f"spp={self.spp}: a picture needs at least 1 sample per pixel")
+        if self.spp is not None and not 1 <= self.spp <= MAX_SPP:
+            raise ValueError(f"spp={self.spp}: samples per pixel are from 1 to {MAX_SPP}")
         if not 0 <= self.seed <= MAX_SEED:
             raise ValueError(f"seed={self.seed}: a seed lies from 0 to {MAX_SEED}")
 
     def plan(self) -> Plan:
         """Load the scene, if it is not there yet, and tell how the job will be rendered."""
         with _staged(self) as loaded:
-            sizes = passes.plan_passes(loaded.scene, self.spp)
+            sizes = passes.plan_passes(loaded.scene, self.spp, short=self.short_passes)
             width, height = loaded.scene.sensors()[0].film().crop_size()
             loses = passes.loses_stratification(loaded.scene, len(sizes))
-            return Plan(sizes, (int(width), int(height)), loses)
+            size = int(width), int(height)
+            return Plan(sizes, size, loses, loaded.digest, loaded.conversion, loaded.sensors)
 
-    def run(self, progress: Progress | None = None) -> Rendering:
+    def run(
+        self,
+        progress: Progress | None = None,
+        before: Finished = NOTHING,
+        stop: Stop = lambda: False,
+    ) -> Rendering:
         """
         Render; errors are those of :func:`mi_ellipse.rendering.scene.load_scene` and of Mitsuba.
 
@@ -109,6 +124,10 @@ class RenderJob:
         ----------
         progress
             Called after each pass with the number of passes done and their total.
+        before
+            Passes of the same job that are finished already.
+        stop
+            Asked after each pass whether the render shall end there.
 
         Raises
         ------
@@ -118,7 +137,16 @@ class RenderJob:
         with _staged(self) as loaded:
             if self.warm_up and loaded.warm_up is None:
                 loaded.warm_up = passes.render(loaded.scene, self.spp, self.seed).timing
-            rendering = passes.render(loaded.scene, self.spp, self.seed, progress)
+            rendering = passes.render(
+                loaded.scene,
+                self.spp,
+                self.seed,
+                progress,
+                MAX_SAMPLES_PER_PASS,
+                self.short_passes,
+                before,
+                stop,
+            )
             return dataclasses.replace(
                 rendering,
                 warm_up=loaded.warm_up if self.warm_up else None,
@@ -133,10 +161,12 @@ class RenderJob:
 class _Loaded:
     """A scene in memory."""
 
-    key: tuple[Path, Mapping[str, str], str, str | None, bool]
+    key: tuple[object, ...]
     stamps: dict[Path, tuple[int, int]]  # time of the last change and size of its files
     digest: str
     scene: mi.Scene
+    conversion: Conversion | None
+    sensors: tuple[str, ...]
     warm_up: Timing | None = None
 
 
@@ -170,7 +200,14 @@ class Stage:
 
     def load(self, job: RenderJob) -> _Loaded:
         """Return the scene of a job, under the variant that is set."""
-        key = (job.scene.resolve(), job.parameters, job.variant, job.sampling, job.grouping)
+        key = (
+            job.scene.resolve(),
+            job.parameters,
+            job.variant,
+            job.sampling,
+            job.grouping,
+            job.changes,
+        )
         loaded = self._loaded
         if loaded is None or loaded.key != key or loaded.stamps != _stamps(loaded.stamps):
             loaded = None
@@ -178,10 +215,11 @@ class Stage:
             parsed = parse_scene(job.scene, job.parameters)
             stamps = _stamps(_files(parsed))
             digest = provenance.parsed_digest(parsed)
-            scene = instantiate(parsed, job.sampling)
+            conversion = parsed.conversion() if job.changes.convert_lamps else None
+            scene = instantiate(parsed, job.sampling, job.changes)
             if job.grouping:
                 group_lamps(scene)
-            loaded = _Loaded(key, stamps, digest, scene)
+            loaded = _Loaded(key, stamps, digest, scene, conversion, parsed.sensors())
             self._loaded = loaded
         return loaded
 
@@ -194,7 +232,7 @@ def _staged(job: RenderJob) -> Iterator[_Loaded]:
     """Give the loaded scene of a job, and set its variant meanwhile."""
     stage = _current.get()
     before = mi.variant()
-    mi.set_variant(job.variant)
+    set_variant(job.variant)
     try:
         if stage is not None:
             yield stage.load(job)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
+from ..rendering.changes import UNCHANGED, Changes
 from ..rendering.executor import LocalExecutor
-from ..rendering.job import Plan, RenderJob
-from ..sampling import find
+from ..rendering.job import MAX_SPP, Plan, RenderJob
+from ..rendering.rewrite import check_choice
 from .drawing.insets import Inset, check_inside
 from .gallery import variant
 from .kinds import split
@@ -26,6 +27,7 @@ class Request:
     seeds: int
     parameters: dict[str, str]
     insets: Sequence[Inset] | None = None
+    changes: Changes = UNCHANGED
 
 
 def check(request: Request) -> None:
@@ -58,9 +60,12 @@ def check(request: Request) -> None:
 
 def _check_numbers(request: Request) -> None:
     for name in request.strategies:
-        find(split(name)[0])
-    if not request.strategies or not request.spp or request.spp[0] < 1:
-        raise ValueError("a comparison needs a strategy and numbers of samples of at least 1")
+        check_choice(split(name)[0])
+    if not request.strategies or not request.spp:
+        raise ValueError("a comparison needs a strategy and a number of samples per pixel")
+    for count in (*request.spp, request.reference_spp):
+        if not 1 <= count <= MAX_SPP:
+            raise ValueError(f"spp={count}: samples per pixel are from 1 to {MAX_SPP}")
     if request.seeds < 1:
         raise ValueError(f"seeds={request.seeds}: a comparison needs at least 1 seed")
     if request.reference_spp < 2:
@@ -72,8 +77,21 @@ def _check_numbers(request: Request) -> None:
 
 def _plan(request: Request) -> list[Plan]:
     """Return how the pictures of the first strategy will be rendered, from few samples to many."""
-    strategy, grouping = split(request.strategies[0])
-    job = RenderJob(request.scene_file, request.parameters, variant(), strategy, grouping=grouping)
+    jobs = [_job(request, request.strategies[0], spp) for spp in request.spp]
+    # Whether there is a lamp of an id shows when the scene is loaded.
+    jobs += [_job(request, name, request.spp[0]) for name in request.strategies[1:] if "=" in name]
     with LocalExecutor() as executor:
-        jobs = [replace(job, spp=spp) for spp in request.spp]
-        return list(executor.map(RenderJob.plan, jobs))
+        return list(executor.map(RenderJob.plan, jobs))[: len(request.spp)]
+
+
+def _job(request: Request, sampling: str, spp: int) -> RenderJob:
+    strategy, grouping = split(sampling)
+    return RenderJob(
+        request.scene_file,
+        request.parameters,
+        variant(),
+        strategy,
+        spp,
+        grouping=grouping,
+        changes=request.changes,
+    )

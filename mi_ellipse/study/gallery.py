@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from urllib.parse import quote
 
 import mitsuba as mi
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from ..files import images
 from ..files.images import Image
 from ..rendering import provenance
+from ..rendering.changes import UNCHANGED, Changes
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import Rendering, RenderJob
 from . import tidying
@@ -29,7 +31,8 @@ class Task:
 
     @property
     def name(self) -> str:
-        return f"{self.sampling}_{self.spp}spp_seed{self.seed}"
+        """Name of its file; the id of a lamp can hold characters that no file name may."""
+        return f"{quote(self.sampling, safe='+=')}_{self.spp}spp_seed{self.seed}"
 
 
 @dataclass(frozen=True)
@@ -71,13 +74,15 @@ class Gallery:
         scene_file: Path,
         parameters: Mapping[str, str],
         album: Album | None = None,
+        changes: Changes = UNCHANGED,
     ):
         self.folder = folder
         self.scene_file = scene_file
         self.parameters = dict(parameters)
+        self.changes = changes
         self._album = album or Album()
         self.machine = provenance.machine()  # that renders
-        self.settings = settings(scene_file, parameters)
+        self.settings = settings(scene_file, parameters, changes)
         self.settings |= {"picture_digest": provenance.picture_digest()}
 
     def take_stock(self, tasks: Sequence[Task]) -> Stock:
@@ -137,6 +142,7 @@ class Gallery:
             task.seed,
             warm_up=warm_up,
             grouping=grouping,
+            changes=self.changes,
         )
 
     def keep(self, task: Task, rendering: Rendering) -> Picture:
@@ -169,11 +175,14 @@ def variant() -> str:
     return str(current)
 
 
-def settings(scene_file: Path, parameters: Mapping[str, str]) -> dict[str, str]:
+def settings(
+    scene_file: Path, parameters: Mapping[str, str], changes: Changes = UNCHANGED
+) -> dict[str, str]:
     """Return what two pictures of a scene must have in common to be compared."""
     return {
         "scene_digest": provenance.scene_digest(scene_file, parameters),
         "variant": variant(),
+        **changes.describe(),
         **provenance.versions(),
     }
 

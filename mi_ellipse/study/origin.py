@@ -13,6 +13,7 @@ import mitsuba as mi
 
 from ..files import images, sealed
 from ..rendering.scene import parse_scene
+from .checks import Request
 from .gallery import settings
 from .reference import Half
 
@@ -30,15 +31,16 @@ class Origin:
     files: dict[str, str]  # digests of the meshes, textures, … by their names
 
     @classmethod
-    def of(cls, scene_file: Path, parameters: Mapping[str, str]) -> Origin:
-        """Return the origin of a comparison of this scene, in the current variant."""
-        parsed = parse_scene(scene_file, parameters)
+    def of(cls, request: Request) -> Origin:
+        """Return the origin of a comparison, in the current variant."""
+        parsed = parse_scene(request.scene_file, request.parameters)
         files = {
             file.name: hashlib.sha256(file.read_bytes()).hexdigest()
             for _, file in parsed.named_files()
         }
         lines = str(mi.parser.write_string(parsed.state)).splitlines()
-        return cls(settings(scene_file, parameters), dict(parameters), lines, files)
+        shared = settings(request.scene_file, request.parameters, request.changes)
+        return cls(shared, dict(request.parameters), lines, files)
 
     def changes(self, before: Origin) -> list[str]:
         """Return what is another than it was, in words."""
@@ -55,9 +57,9 @@ class Origin:
         return found + others
 
 
-def claim(folder: Path, scene_file: Path, parameters: Mapping[str, str]) -> list[str]:
+def claim(folder: Path, now: Origin) -> list[str]:
     """
-    Make sure that all in a folder is made from this scene, and note in the folder what it is.
+    Make sure that all in a folder has this origin, and note it in the folder.
 
     Returns
     -------
@@ -69,7 +71,7 @@ def claim(folder: Path, scene_file: Path, parameters: Mapping[str, str]) -> list
     ValueError
         If the scene, a parameter, the variant or a version has changed since; nothing is written.
     """
-    now, file = Origin.of(scene_file, parameters), folder / FILE
+    file = folder / FILE
     damaged, before = [], None
     try:
         before = Origin(**sealed.read_json(file))

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from ..files import atomic, images
 from ..files.images import Image
+from ..rendering.changes import UNCHANGED, Changes
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import RenderJob
+from ..rendering.passes import check_pass_count
 from .album import Album
 from .gallery import colour, settings, variant
 from .metrics import flip, reference_errors
@@ -115,6 +117,7 @@ def render_reference(
     samples_per_pass: int = SAMPLES_PER_PASS,
     executor: Executor | None = None,
     album: Album | None = None,
+    changes: Changes = UNCHANGED,
 ) -> Reference:
     """
     Render the reference of a scene, or what is missing of it, as the scene's integrator says.
@@ -138,6 +141,8 @@ def render_reference(
         Where the passes are rendered; by default in this process. Sums do not depend on it.
     album
         Takes the reference, so that it is not read again.
+    changes
+        Of the scene, see `RenderJob`.
 
     Raises
     ------
@@ -145,7 +150,7 @@ def render_reference(
         If the folder holds a reference with other settings, or a pass has invalid pixels.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    shared = settings(scene_file, parameters)
+    shared = settings(scene_file, parameters, changes)
     halves = [
         Half.open(folder / f"half_{i}.npz", shared | {"seed": f"{SEED}, {i}"}, say) for i in (1, 2)
     ]
@@ -158,7 +163,7 @@ def render_reference(
         if done:
             say(f"Reference: continued from {done} of {2 * target} spp")
         progress(done, 2 * target)
-        job = RenderJob(scene_file, parameters, variant())
+        job = RenderJob(scene_file, parameters, variant(), changes=changes)
         with LocalExecutor() as local:
             where = executor or local
             passes = list(_plan(halves, job, target, samples_per_pass, where))
@@ -181,6 +186,7 @@ def _plan(
     """Yield the missing passes, the halves in turn, until each has `target` samples per pixel."""
     width, height = executor.submit(job.plan).result().film_size
     size = max(1, samples_per_pass // (width * height))
+    check_pass_count(2 * target, 2 * (target // size))
     taken: dict[int, int] = {}  # by the samples per pixel asked for; some samplers round up
     spp, numbers = [half.spp for half in halves], [half.passes for half in halves]
     while min(spp) < target:

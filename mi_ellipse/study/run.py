@@ -11,6 +11,8 @@ import numpy as np
 
 from ..files import images
 from ..files.lock import only_one
+from ..rendering.changes import UNCHANGED, Changes
+from ..rendering.scene import parse_scene
 from . import origin, results, tidying
 from .album import Album
 from .checks import Request, check
@@ -50,6 +52,7 @@ def compare(
     say: Callable[[str], None] = print,
     insets: Sequence[Inset] | None = None,
     finish: Callable[[Comparison], None] = lambda comparison: None,
+    changes: Changes = UNCHANGED,
 ) -> Comparison:
     """
     Compare sampling strategies in a scene with a reference, at equal samples and at equal time.
@@ -65,8 +68,9 @@ def compare(
         Output folder, made if needed.
     strategies
         Names for every ``ellipticalarea`` of the scene. The others are compared with the first.
-        Lamps choose among themselves, unless ``+ungrouped`` follows the name. The reference does
-        not depend on it.
+        Lamps choose among themselves, unless ``+ungrouped`` follows the name. ``built-in`` is
+        Mitsuba's own `area`, and ``ceiling=area+solid_angle`` chooses for the lamp of the id
+        "ceiling" and for all others. The reference does not depend on it.
     spp
         Samples per pixel. At equal time, each strategy takes as many as take the time that the
         first strategy needs for these.
@@ -82,6 +86,8 @@ def compare(
         Regions that figures will enlarge. They are checked here, before hours of rendering.
     finish
         Called with the comparison while no other process can work in the folder.
+    changes
+        Of the scene, for all pictures and the reference.
 
     Raises
     ------
@@ -99,12 +105,15 @@ def compare(
         seeds,
         dict(parameters or {}),
         insets,
+        changes,
     )
     check(request)
+    if changes.convert_lamps:
+        say(f"{parse_scene(request.scene_file, request.parameters).conversion()}")
     request.folder.mkdir(parents=True, exist_ok=True)
     with only_one(request.folder):
         tidying.remove_remains(request.folder)
-        for name in origin.claim(request.folder, request.scene_file, request.parameters):
+        for name in origin.claim(request.folder, origin.Origin.of(request)):
             say(f"{name} was damaged and is made again")
         comparison = _run(request, progress, say)
         finish(comparison)
@@ -116,7 +125,7 @@ def _run(request: Request, progress: Progress, say: Callable[[str], None]) -> Co
     scene_file, parameters, folder = request.scene_file, request.parameters, request.folder
     strategies, spp = request.strategies, request.spp
     album = Album()
-    gallery = Gallery(folder / "pictures", scene_file, parameters, album)
+    gallery = Gallery(folder / "pictures", scene_file, parameters, album, request.changes)
     times = Times(folder / TIMES, gallery.settings | {"machine": gallery.machine}, say)
 
     # Pictures come first: they show within seconds whether the scene renders at all.
@@ -135,6 +144,7 @@ def _run(request: Request, progress: Progress, say: Callable[[str], None]) -> Co
         lambda done, total: progress("reference", done, total),
         say,
         album=album,
+        changes=request.changes,
     )
     values = measure(folder, pictures, reference, album, progress, say)
     measurements = [
@@ -142,7 +152,7 @@ def _run(request: Request, progress: Progress, say: Callable[[str], None]) -> Co
         for (kind, _), keys in groups.items()
         for one in summarize(kind, keys, pictures, values, times)
     ]
-    about = settings(scene_file, parameters)
+    about = settings(scene_file, parameters, request.changes)
     comparison = Comparison(
         scene_file, parameters, folder, strategies, spp, request.seeds, about, gallery.machine,
         reference, tuple(measurements), album,

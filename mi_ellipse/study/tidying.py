@@ -16,7 +16,7 @@ _CURVES = "|".join(["time", *(f"{name}_against_(samples|time)" for name in METRI
 
 # Names that comparisons give. Other files are the user's own and stay where they are.
 NAMES = {
-    "pictures": re.compile(r"([a-z_]+(\+ungrouped)?_\d+spp_seed\d+|all_\d+spp)\.(exr|png)"),
+    "pictures": re.compile(r"([^.].*_\d+spp_seed\d+|all_\d+spp)\.(exr|png)"),
     "figures": re.compile(rf"(pictures_equal_(samples|time)_\d+spp|{_CURVES})\.(png|pdf|svg)"),
 }
 REST = re.compile(

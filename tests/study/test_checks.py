@@ -26,7 +26,7 @@ def no_render(monkeypatch):
     [
         ({"strategies": ("area", "nonsense")}, '"nonsense"'),
         ({"strategies": ()}, "needs a strategy"),
-        ({"spp": (0, 2)}, "at least 1"),
+        ({"spp": (0, 2)}, "spp=0: .* from 1"),
         ({"seeds": 0}, "seeds=0: .* at least 1"),
         ({"reference_spp": 1}, "reference_spp=1: "),
         ({"insets": [(20, 2, 5, 5)]}, "20,2,5,5 is not inside the picture of 24 × 16"),

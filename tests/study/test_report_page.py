@@ -124,10 +124,10 @@ def test_numbers_are_those_of_the_comparison(comparison, text):
     cells = Page(text).cells
     for measurement in comparison.measurements:
         error = measurement.errors["mse_trimmed"]
-        assert f"{error.mean:.3g} ± {error.standard_error:.1g}" in cells
+        assert f"{error.mean:.3g}\n± {error.standard_error:.1g}" in cells
         for spread, digits in ((measurement.seconds, 3), (measurement.ratio, 2)):
             assert (
-                f"{spread.median:.{digits}f} [{spread.low:.{digits}f}, {spread.high:.{digits}f}]"
+                f"{spread.median:.{digits}f}\n[{spread.low:.{digits}f}, {spread.high:.{digits}f}]"
                 in cells
             )
     assert f"{comparison.reference.errors['mse']:.3g}" in cells
@@ -138,7 +138,7 @@ def test_efficiencies_have_their_intervals(comparison, text):
     cells = Page(text).cells
     for measurement in comparison.measurements:
         for one in measurement.efficiency.values():
-            assert f"{one.value:.2f} [{one.low:.2f}, {one.high:.2f}]" in cells
+            assert f"{one.value:.2f}\n[{one.low:.2f}, {one.high:.2f}]" in cells
     assert "Student's t with 1 degree\nof freedom" in html.unescape(text)
 
 

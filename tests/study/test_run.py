@@ -17,7 +17,7 @@ from mi_ellipse import cli
 from mi_ellipse.files import images
 from mi_ellipse.rendering import passes
 from mi_ellipse.rendering.job import RenderJob, Timing
-from mi_ellipse.study import results
+from mi_ellipse.study import compare, results
 from mi_ellipse.study.report import write_report
 from mi_ellipse.study.results import EQUAL_SAMPLES, EQUAL_TIME
 from mi_ellipse.study.statistics import Spread
@@ -321,6 +321,20 @@ def test_invalid_pixels_are_refused(small_scene, tmp_path, monkeypatch, value):
         reference_of(small_scene, tmp_path / "reference", 8)
 
 
+@pytest.mark.parametrize(("spp", "reference_spp"), [((2, 2**33), 4), ((2,), 10**20), ((0,), 4)])
+def test_impossible_numbers_of_samples_are_refused_before_rendering(
+    small_scene, tmp_path, spp, reference_spp
+):
+    with pytest.raises(ValueError, match="samples per pixel are from 1 to 4294967295"):
+        compare(small_scene, tmp_path / "out", ("area",), spp, reference_spp)
+    assert not (tmp_path / "out").exists()
+
+
+def test_reference_of_too_many_passes_is_refused(small_scene, tmp_path):
+    with pytest.raises(ValueError, match=r"spp=4294967294: .* passes, and at most 1048576"):
+        reference_of(small_scene, tmp_path, 2**32 - 2)
+
+
 def test_black_reference_is_refused(small_scene, tmp_path):
     with pytest.raises(ValueError, match="reference is black"):
         run(small_scene, tmp_path / "out", spp=(2,), seeds=1, parameters={"radiance": "0"})
@@ -331,7 +345,7 @@ def test_black_reference_is_refused(small_scene, tmp_path):
     [
         (["--sampling", "area,nonsense", "--spp", "2"], ['"nonsense"', "solid_angle"]),
         (["--sampling", "area+grouped", "--spp", "2"], ['"area+grouped"', "solid_angle"]),
-        (["--sampling", "area", "--spp", "0"], ["at least 1"]),
+        (["--sampling", "area", "--spp", "0"], ["spp=0", "from 1"]),
     ],
 )
 def test_errors_take_one_line(small_scene, tmp_path, options, words):
@@ -350,6 +364,38 @@ def test_malformed_options(small_scene, option):
     result = CliRunner().invoke(cli.app, [str(a) for a in [*arguments, "-o", small_scene.parent]])
     assert result.exit_code == 2
     assert option[-2] in result.stderr
+
+
+# ---- Lamps of an existing scene ----
+
+
+def test_built_in_lamps_are_a_baseline_and_lamps_have_their_own_strategies(small_scene, tmp_path):
+    """The scene has `area` alone: one comparison with it, and with what it is converted to."""
+    text = SMALL_SCENE.replace('"ellipse"', '"disk" id="a/b"').replace("ellipticalarea", "area")
+    small_scene.write_text(text)
+    out = tmp_path / "out"
+    arguments = [
+        "compare", small_scene, "--sampling", "built-in,a/b=area+solid_angle,solid_angle",
+        "--spp", 2, "--seeds", 1, "--reference-spp", 64, "-o", out,
+        "--convert-lamps", "--no-grouping",
+    ]  # fmt: skip
+    result = CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+    assert result.exit_code == 0, result.output
+    assert "1 lamp converted" in result.stderr
+    comparison = results.read(out)
+    names = ("built-in", "a/b=area+solid_angle+ungrouped", "solid_angle+ungrouped")
+    assert comparison.strategies == names
+    assert comparison.settings["convert_lamps"] == "yes"
+
+    pictures = [read(comparison.find(EQUAL_SAMPLES, name, 2).pictures[0].file) for name in names]
+    expected = mi.render(mi.load_string(text), spp=2, seed=1).numpy()
+    np.testing.assert_allclose(pictures[0], expected, rtol=1e-5, atol=1e-6)
+    # The strategy `area` draws the points that Mitsuba draws.
+    np.testing.assert_allclose(pictures[1], expected, rtol=1e-4, atol=1e-6)
+    assert not np.allclose(pictures[2], expected, rtol=1e-2)
+    assert mi.Bitmap(str(out / "reference" / "reference.exr")).metadata()["convert_lamps"] == "yes"
+    page = (out / "report.html").read_text()
+    assert "built-in" in page
 
 
 # ---- Packages ----

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from simpleimageio import flip
 
 from ...files import atomic
@@ -144,7 +144,7 @@ def _base64(file: Path) -> str:
 
 @dataclass(frozen=True)
 class _Cell:
-    text: str
+    text: str  # a spread stands in a line of its own: so the tables fit a small window
     best: bool = False  # as far as the intervals tell
 
 
@@ -152,7 +152,7 @@ class _Cell:
 class _Row:
     """What the tables say of one strategy at one number of samples."""
 
-    sampling: str
+    sampling: Markup  # which may be broken within the name
     colour: str
     spp: int
     errors: list[_Cell]
@@ -168,11 +168,22 @@ def _table(comparison: Comparison, kind: str) -> list[list[_Row]]:
         costs = _columns([_efficiency_cells(group, name) for name in group[0].efficiency])
         table.append(
             [
-                _Row(one.sampling, style_of(one.sampling)[0], one.spp, own, cost + _times(one))
+                _Row(
+                    _breakable(one.sampling),
+                    style_of(one.sampling)[0],
+                    one.spp,
+                    own,
+                    cost + _times(one),
+                )
                 for one, own, cost in zip(group, errors, costs, strict=True)
             ]
         )
     return table
+
+
+def _breakable(name: str) -> Markup:
+    """Return a name that a browser may break after each of its parts."""
+    return Markup(re.sub("([_+=])", r"\1<wbr>", escape(name)))
 
 
 def _columns(columns: list[list[_Cell]]) -> list[list[_Cell]]:
@@ -223,16 +234,16 @@ def _times(one: Measurement) -> list[_Cell]:
 def _with_spread(one: Spread, digits: int) -> str:
     if one.low == one.high:
         return f"{one.median:.{digits}f}"
-    return f"{one.median:.{digits}f} [{one.low:.{digits}f}, {one.high:.{digits}f}]"
+    return f"{one.median:.{digits}f}\n[{one.low:.{digits}f}, {one.high:.{digits}f}]"
 
 
 def _with_error(error: Estimate) -> str:
     if np.isnan(error.standard_error):
         return f"{error.mean:.3g}"
-    return f"{error.mean:.3g} ± {error.standard_error:.1g}"
+    return f"{error.mean:.3g}\n± {error.standard_error:.1g}"
 
 
 def _with_interval(one: Efficiency) -> str:
     if np.isnan(one.low) or one.low == one.high:
         return f"{one.value:.2f}"
-    return f"{one.value:.2f} [{one.low:.2f}, {one.high:.2f}]"
+    return f"{one.value:.2f}\n[{one.low:.2f}, {one.high:.2f}]"
