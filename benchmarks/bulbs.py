@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from functools import partial
 
-import matplotlib as mpl
-import matplotlib.pyplot as plt
 import mi_ellipse
 import mitsuba as mi
 import numpy as np
-from matplotlib.patches import Rectangle
-from mi_ellipse.files.images import to_srgb
 
 from .error import errors
 from .harness import PAIRS, compare_times, rendering
+from .pictures import draw
 from .scenes import LIGHT_SAMPLES, SCENES, SOLIDS, scene_file
 
 GROUPED = ", grouped"
@@ -75,24 +72,4 @@ def _draw(reference: np.ndarray) -> None:
     for kind in SHOWN:
         image = mi.render(bulbs(kind), integrator=integrator, spp=FIGURE_SPP, seed=1)
         pictures[kind.replace("_", " ")] = np.array(image)
-    aspect = RESOLUTION["resy"] / RESOLUTION["resx"]
-    width = 2.2
-    with mpl.rc_context({"font.size": 8}):
-        figure, axes = plt.subplots(
-            3,
-            len(pictures),
-            figsize=(width * len(pictures), 3 * width * aspect + 0.3),
-            layout="constrained",
-            squeeze=False,
-        )
-        for column, (title, picture) in zip(axes.T, pictures.items(), strict=True):
-            column[0].imshow(to_srgb(picture))
-            column[0].set_title(title)
-            for panel, (colour, (x, y, w, h)) in zip(column[1:], INSETS.items(), strict=True):
-                column[0].add_patch(Rectangle((x, y), w, h, fill=False, edgecolor=colour))
-                panel.imshow(to_srgb(picture[y : y + h, x : x + w]))
-                panel.spines[:].set_color(colour)
-            for panel in column:
-                panel.set(xticks=[], yticks=[])
-        figure.savefig(FIGURE, dpi=130)
-        plt.close(figure)
+    draw(FIGURE, pictures, INSETS)
