@@ -30,7 +30,6 @@ def test_same_picture_as_ungrouped(name):
         scene = mi.load_file(str(SCENES / f"{name}.xml"), resx=16, resy=16)
         if grouped:
             assert len(mi_ellipse.group_lamps(scene)) > 1
-        pictures.append(render(scene, 256, 16))
-    for w in (.5,.4,.3,.2,.15,.1,.07,.05):
-        try: assert_same_expectation(*pictures, within=w)
-        except AssertionError as e: print(name,w,e); break
+        pictures.append(render(scene, 256))
+    # A lamp that answers without its part of the choice is off by half.
+    assert_same_expectation(*pictures, within=0.1)
