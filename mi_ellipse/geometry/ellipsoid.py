@@ -13,15 +13,12 @@ import numpy as np
 from . import cone
 from .cone import Cone, Confocal
 from .light import Hit, View, field_values
+from .sphere import LEAST_COSINE2, longitude_and_colatitude
 from .tracing import TINY, cross
 
 # Sweeps of the Jacobi rotations that find the principal axes. They converge cubically: after four
 # the axes are orthogonal to 1e-15, up to ratios of 1e6 under shears.
 SWEEPS = 5
-
-# Least squared cosine at the unit sphere, for densities of its points: that part of the draws is
-# below, and rounding a direction moves it by as much.
-LEAST_COSINE2 = 1e-7
 
 
 class EllipsoidView(View):
@@ -181,7 +178,7 @@ class Ellipsoid(SemiAxes):
         """
         q = mi.Vector3f(mi.warp.square_to_uniform_sphere(u))
         offset = view.centre + self.from_sphere(q)
-        distance = dr.norm(offset)
+        distance = dr.maximum(dr.norm(offset), TINY)  # The view may be at the very point
         d = offset / distance
         on_sphere = self.to_sphere(d)
         cosine = -dr.dot(q, on_sphere)
@@ -222,11 +219,7 @@ class Ellipsoid(SemiAxes):
     def uv(self, q: mi.Vector3f) -> mi.Point2f:
         """Longitude and colatitude of the unit sphere before `to_world`: those of `sphere`."""
         rows = self.parameter_x, self.parameter_y, self.parameter_z
-        x, y, z = (dr.dot(row, q) for row in rows)
-        longitude = dr.atan2(y, x) * dr.inv_two_pi
-        # The arc cosine of z loses the poles
-        colatitude = dr.atan2(dr.sqrt(dr.fma(x, x, y * y)), z) * dr.inv_pi
-        return mi.Point2f(dr.select(longitude < 0, longitude + 1, longitude), colatitude)
+        return longitude_and_colatitude(*(dr.dot(row, q) for row in rows))
 
     # ---- Where a direction meets it ----
 

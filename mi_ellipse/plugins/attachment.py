@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry import ellipse, ellipsoid, mesh
+from ..geometry import ellipse, ellipsoid, limits, mesh, sphere
 from ..geometry.light import Light
 from ..lamps.lamp import Lamp
 from .names import DISK, ELLIPSE, ELLIPSOID, ELLIPTICAL_AREA, SPHERE
@@ -39,8 +39,8 @@ class Attachment:
         Raises
         ------
         ValueError
-            Without a shape, if the shape is no light of this package, or if the strategy cannot
-            sample one like it.
+            Without a shape, if the shape is no light of this package, if its size is beyond single
+            precision, or if the strategy cannot sample one like it.
         """
         try:
             light = _light(shape)
@@ -74,6 +74,17 @@ def attach(shape: mi.Shape) -> None:
     emitter = shape.emitter()
     if isinstance(getattr(emitter, "attachment", None), Attachment):
         emitter.attachment.attach(shape)
+
+
+def attach_all(scene: mi.Scene) -> None:
+    """Attach the emitters of a scene that would wait for their first use, as on a plain `disk`.
+
+    Errors are those of `Attachment.attach`.
+    """
+    for emitter in scene.emitters():
+        attachment = getattr(emitter, "attachment", None)
+        if isinstance(attachment, Attachment) and attachment.lamp.stored is None:
+            attachment.attach(emitter.get_shape())
 
 
 def _misplaced(what: str) -> str:
@@ -110,12 +121,16 @@ def _area(shape: mi.Shape, light: Light) -> mi.Float:
 
 
 def _of_disk(shape: mi.Shape) -> Light:
-    return ellipse.from_transform(dr.detach(_parameter(shape, "to_world")))
+    to_world = dr.detach(_parameter(shape, "to_world"))
+    limits.check_ellipse(_entries(to_world))
+    return ellipse.from_transform(to_world)
 
 
 def _of_sphere(shape: mi.Shape) -> Light:
-    """Ellipsoid with three equal semi-axes; Mitsuba has made the transform a similarity."""
-    light = ellipsoid.from_transform(dr.detach(_parameter(shape, "to_world")))
+    """Sphere; Mitsuba has made the transform a similarity."""
+    matrix = _entries(dr.detach(_parameter(shape, "to_world")))
+    limits.check_solid(matrix)
+    light = sphere.from_transform(mi.ScalarAffineTransform4d(matrix))
     # The transform does not tell what `flip_normals` and mirrors do to the normals.
     it = mi.Interaction3f()
     it.p = mi.Point3f(light.centre) + 2 * light.lx
@@ -134,17 +149,28 @@ def _of_mesh(shape: mi.Mesh) -> Light:
     if shape.has_flipped_normals():
         raise ValueError(_inwards("ellipsoid", "flip_normals"))
     points = np.array(dr.detach(shape.vertex_positions_buffer()), dtype=float).reshape(-1, 3)
-    sphere = mesh.unit_sphere_of(len(points))
-    if sphere is None:
+    unit = mesh.unit_sphere_of(len(points))
+    if unit is None:
         raise ValueError(_misplaced("a mesh that is no ellipsoid of this package"))
-    matrix, missed = _affine_map(sphere.points, points)
+    matrix, missed = _affine_map(unit.points, points)
     if not missed < MESH_ERROR:
         raise ValueError(
             "the vertex_positions of the mesh around the emitter are no affine image of those of "
             f"a sphere: they miss the nearest ellipsoid by {missed:.1g} of its size, and may by "
             f"{MESH_ERROR:g}"
         )
-    return ellipsoid.from_transform(mi.ScalarAffineTransform4d(matrix))
+    limits.check_solid(matrix)
+    kind = sphere if sphere.is_sphere(matrix[:3, :3]) else ellipsoid
+    return kind.from_transform(mi.ScalarAffineTransform4d(matrix))
+
+
+def _entries(to_world: Any) -> np.ndarray:
+    """4×4 matrix of a transform that is known, also while Dr.Jit traces or records.
+
+    Entry by entry: in one piece, Dr.Jit would have to run a kernel, which it cannot do then.
+    """
+    entries = [to_world.matrix[i, j] for i in range(4) for j in range(4)]
+    return np.array([np.array(entry).item() for entry in entries], dtype=float).reshape(4, 4)
 
 
 def _affine_map(known: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, float]:

@@ -29,8 +29,10 @@ NOT_IN_A_PICTURE = (
     "__main__.py",
     "cli/",
     "files/",
+    "lighting/",
     "measures.py",
     "rendering/converted_file.py",
+    "rendering/partial.py",
     "rendering/provenance.py",
     "study/",
     "system/doctor.py",
@@ -119,9 +121,17 @@ def describe(job: RenderJob, rendering: Rendering) -> dict[str, str]:
     """
     return {
         "scene": str(job.scene),
-        "scene_digest": rendering.scene_digest,
         "spp": str(rendering.spp),
         "passes": str(rendering.passes),
+        **settings(job, rendering.scene_digest),
+        "render_seconds": f"{rendering.seconds:.3f}",
+    }
+
+
+def settings(job: RenderJob, digest: str) -> dict[str, str]:
+    """Return what two renders have in common if their samples may be averaged, as texts."""
+    return {
+        "scene_digest": digest,
         "seed": str(job.seed),
         "variant": job.variant,
         "sampling": job.sampling or "as in the scene",
@@ -129,7 +139,6 @@ def describe(job: RenderJob, rendering: Rendering) -> dict[str, str]:
         **job.changes.describe(),
         "parameters": json.dumps(dict(job.parameters)),
         **versions(),
-        "render_seconds": f"{rendering.seconds:.3f}",
     }
 
 

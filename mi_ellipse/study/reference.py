@@ -16,6 +16,7 @@ from ..files.images import Image
 from ..rendering.changes import UNCHANGED, Changes
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import RenderJob
+from ..rendering.passes import check_pass_count
 from .album import Album
 from .gallery import colour, settings, variant
 from .metrics import flip, reference_errors
@@ -167,6 +168,7 @@ def _plan(
     """Yield the missing passes, the halves in turn, until each has `target` samples per pixel."""
     width, height = executor.submit(job.plan).result().film_size
     size = max(1, samples_per_pass // (width * height))
+    check_pass_count(2 * target, 2 * (target // size))
     taken: dict[int, int] = {}  # by the samples per pixel asked for; some samplers round up
     spp, numbers = [half.spp for half in halves], [half.passes for half in halves]
     while min(spp) < target:

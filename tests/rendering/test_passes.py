@@ -28,6 +28,62 @@ def test_plan_passes(scene_file, sampler, spp, limit, expected):
     assert passes.plan_passes(scene, spp, limit) == expected
 
 
+@pytest.mark.parametrize(
+    ("sampler", "spp", "expected"),
+    [
+        ("independent", 3, (3,)),
+        ("independent", 8, (4, 4)),
+        ("independent", 15, (4, 4, 4, 3)),
+        ("multijitter", 16, (16,)),
+    ],
+)
+def test_short_passes(scene_file, monkeypatch, sampler, spp, expected):
+    monkeypatch.setitem(passes.SHORT_PASS, "llvm", samples(4))
+    scene = load_scene(scene_file, {"sampler": sampler})
+    assert passes.plan_passes(scene, spp, short=True) == expected
+    assert passes.plan_passes(scene, spp) == (spp,)
+
+
+def test_short_pass_has_a_sample_for_each_pixel(scene_file, monkeypatch):
+    monkeypatch.setitem(passes.SHORT_PASS, "llvm", 1)
+    assert passes.plan_passes(load_scene(scene_file), 2, short=True) == (1, 1)
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_rgb", "llvm_ad_spectral", "scalar_rgb"])
+def test_continued_render_is_the_uninterrupted_one_to_the_bit(scene_file, monkeypatch, variant):
+    mi.set_variant(variant)
+    monkeypatch.setitem(passes.SHORT_PASS, variant.partition("_")[0], samples(4))
+    threads = dr.thread_count()
+    dr.set_thread_count(1)  # More of them add up samples in an order of chance.
+    try:
+        scene = load_scene(scene_file)
+        whole = passes.render(scene, 15, 5, short=True)
+        asked = iter([False, True])
+        first = passes.render(scene, 15, 5, short=True, stop=lambda: next(asked))
+        second = passes.render(scene, 15, 5, short=True, before=first.unfinished)
+        more = passes.render(scene, 20, 5, short=True, before=first.unfinished)
+        all_of_more = passes.render(scene, 20, 5, short=True)
+    finally:
+        dr.set_thread_count(threads)
+
+    assert (first.spp, first.passes, first.unfinished.spp) == (8, 2, 8)
+    assert (second.spp, second.passes, second.unfinished) == (15, 4, None)
+    assert second.seconds > first.seconds > 0
+    assert np.array_equal(second.image, whole.image)
+    assert np.array_equal(more.image, all_of_more.image)
+    assert not np.array_equal(first.image, whole.image)
+
+
+def test_render_goes_on_only_from_its_own_passes(scene_file, monkeypatch):
+    monkeypatch.setitem(passes.SHORT_PASS, "llvm", samples(4))
+    scene = load_scene(scene_file)
+    finished = passes.render(scene, 12, short=True, stop=lambda: True).unfinished
+    with pytest.raises(ValueError, match="spp=3: 4 samples per pixel are finished already"):
+        passes.render(scene, 3, short=True, before=finished)
+    with pytest.raises(ValueError, match="passes of another size"):
+        passes.render(scene, 12, before=finished)
+
+
 def test_plan_passes_refuses_a_film_beyond_the_limit(scene_file):
     with pytest.raises(ValueError, match="more than 191 samples"):
         passes.plan_passes(load_scene(scene_file), 1, samples(1) - 1)
