@@ -327,8 +327,8 @@ def _ellipsoids(results: dict) -> str:
         f" {results['size']}² pixels with {results['spp']} samples each.\n\n"
         "* *Built-in* is `sphere` + `area`, which is uniform in solid angle, or a mesh of 20 480"
         " triangles + `area`.\n"
-        "* *Error* is the trimmed MSE in millionths, and *times lower* is how many times lower it is"
-        " than that of built-in.\n"
+        "* *Error* is the trimmed MSE in millionths, and *times lower* is that of built-in over"
+        " it.\n"
         "* *Time* is that of a whole render over that of built-in.\n\n"
         + table("lamp | samples | kind | error | times lower | time", rows)
     )
