@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import gc
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ import mitsuba as mi
 from ..plugins.grouping import group_lamps
 from . import passes, provenance
 from .passes import Progress, Rendering, Timing
-from .scene import ParsedScene, instantiate, parse_scene
+from .scene import ParsedScene, instantiate, parse_scene, under_variant
 
 __all__ = ["Parameters", "Plan", "RenderJob", "Rendering", "Stage", "Timing"]
 
@@ -71,7 +71,7 @@ class RenderJob:
     Raises
     ------
     ValueError
-        If `spp` or `seed` is impossible.
+        If `spp`, `seed` or `passes` is impossible.
     """
 
     scene: Path  # XML file
@@ -84,19 +84,22 @@ class RenderJob:
     # kernel, which is the same for every number of samples.
     warm_up: bool = False
     grouping: bool = True  # Two or more lamps choose among themselves; False: Mitsuba's choice
+    passes: int = 1  # at least; more where a pass would hold too many samples
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", Path(self.scene))
         object.__setattr__(self, "parameters", Parameters(self.parameters))
         if self.spp is not None and self.spp < 1:
             raise ValueError(f"spp={self.spp}: a picture needs at least 1 sample per pixel")
+        if self.passes < 1:
+            raise ValueError(f"passes={self.passes}: a picture needs at least 1 pass")
         if not 0 <= self.seed <= MAX_SEED:
             raise ValueError(f"seed={self.seed}: a seed lies from 0 to {MAX_SEED}")
 
     def plan(self) -> Plan:
         """Load the scene, if it is not there yet, and tell how the job will be rendered."""
         with _staged(self) as loaded:
-            sizes = passes.plan_passes(loaded.scene, self.spp)
+            sizes = passes.plan_passes(loaded.scene, self.spp, passes=self.passes)
             width, height = loaded.scene.sensors()[0].film().crop_size()
             loses = passes.loses_stratification(loaded.scene, len(sizes))
             return Plan(sizes, (int(width), int(height)), loses)
@@ -118,11 +121,15 @@ class RenderJob:
         with _staged(self) as loaded:
             if self.warm_up and loaded.warm_up is None:
                 loaded.warm_up = passes.render(loaded.scene, self.spp, self.seed).timing
-            rendering = passes.render(loaded.scene, self.spp, self.seed, progress)
+            limit = passes.MAX_SAMPLES_PER_PASS
+            rendering = passes.render(
+                loaded.scene, self.spp, self.seed, progress, limit, self.passes
+            )
             return dataclasses.replace(
                 rendering,
                 warm_up=loaded.warm_up if self.warm_up else None,
                 scene_digest=loaded.digest,
+                machine=provenance.machine(),
             )
 
 
@@ -172,11 +179,11 @@ class Stage:
         """Return the scene of a job, under the variant that is set."""
         key = (job.scene.resolve(), job.parameters, job.variant, job.sampling, job.grouping)
         loaded = self._loaded
-        if loaded is None or loaded.key != key or loaded.stamps != _stamps(loaded.stamps):
+        if loaded is None or loaded.key != key or loaded.stamps != stamps_of(loaded.stamps):
             loaded = None
             self.clear()
             parsed = parse_scene(job.scene, job.parameters)
-            stamps = _stamps(_files(parsed))
+            stamps = stamps_of(_files(parsed))
             digest = provenance.parsed_digest(parsed)
             scene = instantiate(parsed, job.sampling)
             if job.grouping:
@@ -193,9 +200,7 @@ _current: ContextVar[Stage | None] = ContextVar("stage", default=None)
 def _staged(job: RenderJob) -> Iterator[_Loaded]:
     """Give the loaded scene of a job, and set its variant meanwhile."""
     stage = _current.get()
-    before = mi.variant()
-    mi.set_variant(job.variant)
-    try:
+    with under_variant(job.variant):
         if stage is not None:
             yield stage.load(job)
         else:
@@ -204,16 +209,13 @@ def _staged(job: RenderJob) -> Iterator[_Loaded]:
                 yield own.load(job)
             finally:
                 own.clear()
-    finally:
-        if before is not None:
-            mi.set_variant(before)
 
 
 def _files(parsed: ParsedScene) -> list[Path]:
     return [*parsed.scene_files, *(file for _, file in parsed.named_files())]
 
 
-def _stamps(files: list[Path] | dict[Path, tuple[int, int]]) -> dict[Path, tuple[int, int]]:
+def stamps_of(files: Iterable[Path]) -> dict[Path, tuple[int, int]]:
     """Return when files were last changed, and their sizes; a missing file has neither."""
     stamps = {}
     for file in files:

@@ -46,6 +46,7 @@ class Rendering:
     timing: Timing
     warm_up: Timing | None = None  # of the render beforehand, where a job asked for one
     scene_digest: str = ""  # of the scene that was loaded for a job
+    machine: str = ""  # that rendered a job, or several of them with commas between
 
     @property
     def seconds(self) -> float:
@@ -58,8 +59,28 @@ class Rendering:
         return int(np.count_nonzero(~np.isfinite(self.image).all(axis=2)))
 
 
+class Average:
+    """Mean of passes, weighted by their samples; its digits depend on their order alone."""
+
+    def __init__(self) -> None:
+        self._total: Any = 0.0
+        self._spp = 0
+
+    def add(self, image: Any, spp: int) -> None:
+        """Add a picture, of whatever type NumPy can read, that was made with so many samples."""
+        self._total = self._total + spp * np.array(image, dtype=np.float64)
+        self._spp += spp
+
+    def image(self) -> NDArray[np.float32]:
+        """Return the mean of what was added."""
+        return np.asarray(self._total / self._spp, dtype=np.float32)
+
+
 def plan_passes(
-    scene: mi.Scene, spp: int | None = None, max_samples: int = MAX_SAMPLES_PER_PASS
+    scene: mi.Scene,
+    spp: int | None = None,
+    max_samples: int = MAX_SAMPLES_PER_PASS,
+    passes: int = 1,
 ) -> tuple[int, ...]:
     """
     Split a number of samples per pixel into as few passes as possible.
@@ -71,7 +92,10 @@ def plan_passes(
     spp
         Wanted samples per pixel; None takes the scene's own number.
     max_samples
-        Largest number of samples (pixels × samples per pixel) in one pass.
+        Largest number of samples (pixels × samples per pixel) in one pass; scalar variants have no
+        limit.
+    passes
+        At least so many passes, as far as each takes at least a sample per pixel.
 
     Returns
     -------
@@ -82,17 +106,14 @@ def plan_passes(
     sensor = _sensor(scene)
     sampler = sensor.sampler()
     spp = sampler.sample_count() if spp is None else spp
-    if not _is_vectorized():
-        return (_feasible_count(sampler, spp),)
-
-    limit = max_samples // _count_pixels(sensor.film())
+    limit = max_samples // _count_pixels(sensor.film()) if _is_vectorized() else spp**2
     if limit == 0:
         raise ValueError(f"one sample for every pixel is more than {max_samples} samples")
 
     # The largest pass within the limit; then passes of similar size, the last with what is left.
     counts = range(1, min(spp, limit) + 1)
     largest = bisect_right(counts, limit, key=lambda count: _feasible_count(sampler, count)) or 1
-    passes = math.ceil(spp / _feasible_count(sampler, largest))
+    passes = max(math.ceil(spp / _feasible_count(sampler, largest)), min(passes, spp))
     size = _feasible_count(sampler, math.ceil(spp / passes))
     passes = math.ceil(spp / size)
     return (size,) * (passes - 1) + (_feasible_count(sampler, spp - size * (passes - 1)),)
@@ -109,6 +130,7 @@ def render(
     seed: int = 0,
     progress: Progress | None = None,
     max_samples: int = MAX_SAMPLES_PER_PASS,
+    passes: int = 1,
 ) -> Rendering:
     """
     Render the first sensor of a scene and average the passes.
@@ -121,14 +143,14 @@ def render(
     ----------
     scene
         Loaded scene with a sensor and an integrator.
-    spp, max_samples
+    spp, max_samples, passes
         See :func:`plan_passes`.
     seed
         From 0 to 2³² - 1. Further passes derive theirs from it.
     progress
         Called after each pass with the number of passes done and their total.
     """
-    sizes = plan_passes(scene, spp, max_samples)
+    sizes = plan_passes(scene, spp, max_samples, passes)
     # The history of the kernels tells their times. It costs none: interleaved renders of 16 ms took
     # 1.004 times as long with it.
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
@@ -148,14 +170,14 @@ def _average(
     recorded = len(sizes) > 1 and not mi.is_spectral
     render_pass = dr.freeze(_render_pass) if recorded else _render_pass
 
-    total: Any = 0.0
-    seeds = _pass_seeds(seed, len(sizes))
+    average = Average()
+    seeds = pass_seeds(seed, len(sizes))
     for done, (size, pass_seed) in enumerate(zip(sizes, seeds, strict=True), start=1):
         image = render_pass(scene, dr.opaque(mi.UInt32, pass_seed), size)
-        total = total + size * np.array(image, dtype=np.float64)
+        average.add(image, size)
         if progress is not None:
             progress(done, len(sizes))
-    return np.asarray(total / sum(sizes), dtype=np.float32)
+    return average.image()
 
 
 def _split_time(seconds: float, history: Sequence[Mapping[str, Any]]) -> Timing:
@@ -179,7 +201,7 @@ def _render_pass(scene: mi.Scene, seed: mi.UInt32, spp: int) -> mi.TensorXf:
     return image
 
 
-def _pass_seeds(seed: int, count: int) -> list[int]:
+def pass_seeds(seed: int, count: int) -> list[int]:
     """Return the seed itself and `count` - 1 that no other `seed` is likely to have as well."""
     return [seed, *np.random.SeedSequence(seed).generate_state(count - 1).tolist()]
 

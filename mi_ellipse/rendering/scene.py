@@ -10,6 +10,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 
 from .. import sampling as strategies
@@ -112,7 +113,8 @@ def instantiate(parsed: ParsedScene, sampling: str | None = None) -> mi.Scene:
         if sampling is not None:
             _choose_sampling(state, sampling)
         mi.parser.transform_all(parsed.config, state)
-        scene = mi.parser.instantiate(parsed.config, state)
+        with _one_thread():
+            scene = mi.parser.instantiate(parsed.config, state)
     if not isinstance(scene, mi.Scene):
         raise ValueError(f"{parsed.path}: the root element is no <scene>")
     return scene
@@ -159,6 +161,34 @@ def _refuse_detached_lamps(config: mi.parser.ParserConfig, state: mi.parser.Pars
                 f'{location}: this "{ELLIPTICAL_AREA}" belongs to no shape and would give no light;'
                 " put it inside the <shape> that shall shine"
             )
+
+
+@contextmanager
+def under_variant(variant: str) -> Iterator[None]:
+    """Set a variant of Mitsuba, and set that of the caller again in the end."""
+    before = mi.variant()
+    mi.set_variant(variant)
+    try:
+        yield
+    finally:
+        if before is not None:
+            mi.set_variant(before)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """
+    Let the scene be built the same way each time.
+
+    Several threads build a ray tracing hierarchy whose order changes from one load to the next, and
+    with it the last digits of where rays meet meshes.
+    """
+    threads = dr.thread_count()
+    dr.set_thread_count(1)
+    try:
+        yield
+    finally:
+        dr.set_thread_count(threads)
 
 
 @contextmanager

@@ -46,7 +46,7 @@ def test_passes_average_to_renders_of_mitsuba_and_are_recorded_once(scene_file, 
     # One for 4, 4, 4, a second one where a lamp met its shape in the first, one for the 3.
     assert frozen[0].n_recordings <= 3
 
-    seeds = passes._pass_seeds(5, 4)
+    seeds = passes.pass_seeds(5, 4)
     assert len(set(seeds)) == 4
     expected = np.average(
         [mi.render(scene, spp=n, seed=s).numpy() for n, s in zip((4, 4, 4, 3), seeds, strict=True)],

@@ -1,0 +1,74 @@
+"""Divide a render into jobs of one pass each, and average what they return."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from concurrent.futures import Executor
+
+from . import passes
+from .job import RenderJob
+from .passes import Average, Progress, Rendering, Timing
+
+
+def divide(job: RenderJob, sizes: Sequence[int]) -> list[RenderJob]:
+    """
+    Return a job for each pass of a render.
+
+    Parameters
+    ----------
+    job
+        The render.
+    sizes
+        Samples per pixel of its passes, as its plan has them.
+    """
+    seeds = passes.pass_seeds(job.seed, len(sizes))
+    return [
+        dataclasses.replace(job, spp=size, seed=seed, passes=1, warm_up=False)
+        for size, seed in zip(sizes, seeds, strict=True)
+    ]
+
+
+def render(
+    job: RenderJob, sizes: Sequence[int], executor: Executor, progress: Progress | None = None
+) -> Rendering:
+    """
+    Render the passes of a job as jobs of their own.
+
+    The picture is that of ``job.run()`` bit for bit, wherever the passes are rendered and whichever
+    ends first, where each pass has the same bits everywhere: films with a box filter, or one thread
+    in each process.
+
+    Parameters
+    ----------
+    job, sizes, progress
+        See :func:`divide` and :meth:`RenderJob.run`.
+    executor
+        Where the passes are rendered.
+
+    Returns
+    -------
+    Rendering
+        Its times are sums over the passes, and its machines those that rendered one.
+    """
+    average, parts = Average(), []
+    jobs = divide(job, sizes)
+    for done, part in enumerate(executor.map(RenderJob.run, jobs), start=1):
+        average.add(part.image, part.spp)
+        # Pictures would fill the memory.
+        parts.append(dataclasses.replace(part, image=part.image[:0]))
+        if progress is not None:
+            progress(done, len(jobs))
+    return dataclasses.replace(
+        parts[0],
+        image=average.image(),
+        spp=sum(part.spp for part in parts),
+        passes=sum(part.passes for part in parts),
+        timing=_sum([part.timing for part in parts]),
+        machine=", ".join(sorted({part.machine for part in parts})),
+    )
+
+
+def _sum(timings: Sequence[Timing]) -> Timing:
+    rows = [dataclasses.astuple(timing) for timing in timings]
+    return Timing(*(sum(column) for column in zip(*rows, strict=True)))
