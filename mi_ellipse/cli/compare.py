@@ -15,12 +15,15 @@ from .options import (
     Grouping,
     Insets,
     SceneFile,
+    Scheduler,
     Variant,
+    Workers,
     parse_definitions,
     parse_insets,
     parse_integers,
 )
-from .process import interrupt_ends_process, one_line_errors
+from .places import place
+from .process import one_line_errors
 from .progress import step_bars
 from .report import draw
 
@@ -46,6 +49,8 @@ def run(
     variant: Variant = DEFAULT_VARIANT,
     grouping: Grouping = True,
     insets: Insets = None,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
     definitions: Definitions = None,
 ) -> None:
     """Compare sampling strategies: errors, times, figures and a report to look at."""
@@ -54,7 +59,8 @@ def run(
     regions = parse_insets(insets)
     strategies = [name.strip() for name in sampling.split(",")]
 
-    with one_line_errors(), interrupt_ends_process():
+    console = Console(stderr=True)
+    with one_line_errors(), place(scheduler, workers, console) as executor:
         # Not with the other imports: drawing would make every command slow to start.
         from ..study import compare
         from ..study.kinds import ungrouped
@@ -63,7 +69,6 @@ def run(
             strategies = [ungrouped(name) for name in strategies]
         mi.set_variant(variant)
         output.mkdir(parents=True, exist_ok=True)
-        console = Console(stderr=True)
         with step_bars(console) as progress:
             comparison = compare(
                 scene_file,
@@ -75,6 +80,7 @@ def run(
                 parameters,
                 progress,
                 console.print,
+                executor=executor,
             )
         page = draw(comparison, regions, console)
     print(f"{page}, {output / 'results.csv'}, {output / 'results.json'}, {output / 'figures'}")

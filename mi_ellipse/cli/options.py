@@ -10,6 +10,7 @@ import typer
 from ..rendering.job import MAX_SEED
 
 DEFAULT_VARIANT = "llvm_ad_rgb"
+CLUSTER = "Beyond one process (needs mi_ellipse[cluster])"
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE.xml", help="Scene to render.")]
 Variant = Annotated[str, typer.Option(help="Mitsuba variant.")]
@@ -19,6 +20,23 @@ Grouping = Annotated[
     typer.Option(
         "--grouping/--no-grouping",
         help="Two or more lamps choose among themselves, or leave the choice to Mitsuba.",
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="tcp://HOST:PORT",
+        help="Run on the Dask cluster of this scheduler.",
+        rich_help_panel=CLUSTER,
+    ),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="Run on N single-threaded processes of this machine.",
+        rich_help_panel=CLUSTER,
     ),
 ]
 Definitions = Annotated[

@@ -10,19 +10,22 @@ import typer
 from rich.console import Console
 
 from ..files import atomic, images
-from ..rendering import provenance
-from ..rendering.executor import LocalExecutor
+from ..rendering import division, provenance
+from ..rendering.executor import JobExecutor, LocalExecutor
 from ..rendering.job import Plan, Rendering, RenderJob
 from .options import (
     DEFAULT_VARIANT,
     Definitions,
     Grouping,
     SceneFile,
+    Scheduler,
     Seed,
     Variant,
+    Workers,
     parse_definitions,
 )
-from .process import interrupt_ends_process, one_line_errors
+from .places import place
+from .process import one_line_errors
 from .progress import passes_bar
 
 
@@ -44,6 +47,16 @@ def run(
         bool, typer.Option("--half", help="Store half instead of single precision.")
     ] = False,
     grouping: Grouping = True,
+    passes: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Passes at least; by default as few as possible, on a cluster as many as hold"
+            f" {division.SAMPLES_PER_PASS / 1e6:.0f} million samples each.",
+        ),
+    ] = None,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
     definitions: Definitions = None,
 ) -> None:
     """Render a scene to an OpenEXR file, and a PNG beside it for a quick look."""
@@ -56,9 +69,19 @@ def run(
             raise ValueError(f"{exr}: the output is an OpenEXR file, and its name ends in .exr")
         for file in (exr, png):
             _check_writable(file)
-        job = RenderJob(scene_file, parameters, variant, sampling, spp, seed, grouping=grouping)
-        with interrupt_ends_process():
-            rendering = _render(job)
+        job = RenderJob(
+            scene_file,
+            parameters,
+            variant,
+            sampling,
+            spp,
+            seed,
+            grouping=grouping,
+            passes=passes or 1,
+        )
+        console = Console(stderr=True)
+        with place(scheduler, workers, console) as executor:
+            rendering = _render(job, executor, passes is None, console)
 
         exposure = images.choose_exposure(rendering.image)
         settings: images.Metadata = {
@@ -78,14 +101,19 @@ def run(
     )
 
 
-def _render(job: RenderJob) -> Rendering:
+def _render(job: RenderJob, executor: JobExecutor, is_free: bool, console: Console) -> Rendering:
     """Render with a progress bar, and say what the user would not expect."""
-    console = Console(stderr=True)
-    with LocalExecutor() as executor:
+    plan = executor.submit(job.plan).result()
+    is_local = isinstance(executor, LocalExecutor)
+    if is_free and not is_local:
+        job = division.with_passes_for_a_cluster(job, plan)
         plan = executor.submit(job.plan).result()
-        _announce(job, plan, console)
-        with passes_bar(console, len(plan.sizes)) as progress:
+    _announce(job, plan, console)
+    with passes_bar(console, len(plan.sizes)) as progress:
+        if is_local:
             rendering = executor.submit(job.run, progress).result()
+        else:
+            rendering = division.render(job, plan.sizes, executor, progress)
 
     if rendering.invalid_pixels:
         console.print(

@@ -106,7 +106,12 @@ class ClusterExecutor(JobExecutor):
         """Send a job to the next worker that is free; its files go before it, once."""
         if self._is_shut_down:
             raise RuntimeError("cannot submit a job to an executor that was shut down")
-        call = self.call(fn, args)
+        try:
+            call = self.call(fn, args)
+        except Exception as error:  # of the scene
+            future: Future[T] = Future()
+            future.set_exception(error)
+            return future
         if call is None:
             return self._explained(self._executor.submit(fn, *args, **kwargs))
         return self._explained(self._executor.submit(worker.run, call))
@@ -223,10 +228,10 @@ class ClusterExecutor(JobExecutor):
 
         The other workers of its machine do nothing meanwhile, whoever uses the cluster.
         """
-        with distributed.Lock("mi_ellipse-alone", self.client.scheduler, self.client.loop):
-            address, _ = self.timing_worker()
-            with self._held_still(address):
-                yield _Alone(self)
+        lock = distributed.Lock("mi_ellipse-alone", self.client.scheduler, self.client.loop)
+        with lock, _Alone(self) as executor:
+            executor.place()
+            yield executor
 
     def machine(self) -> str:
         """Return the machine that times jobs; it stays the same as long as one is like it."""
@@ -239,26 +244,30 @@ class ClusterExecutor(JobExecutor):
         Raises
         ------
         ConnectionError
-            If it is gone, and no other one is on the same machine.
+            If it is gone, and no other one joins on the same machine within half a minute.
         """
         if self._timing is not None and self._timing[0] in self.client.nthreads():
             return self._timing
-        present = self._identities()
-        found = sorted((one.host, address, one.machine) for address, one in present.items())
-        if self._timing is not None:
-            machine = self._timing[1]
-            found = [entry for entry in found if entry[2] == machine]
-            if not found:
+        end = time.monotonic() + PATIENCE
+        while True:
+            present = self._identities()
+            found = sorted((one.host, address, one.machine) for address, one in present.items())
+            if self._timing is not None:
+                found = [entry for entry in found if entry[2] == self._timing[1]]
+            if found:
+                _, address, machine = found[0]
+                self._timing = address, machine
+                return self._timing
+            if time.monotonic() > end:
                 raise ConnectionError(
-                    f"the worker that timed jobs is gone, and no other is like it ({machine}): run"
-                    " the command again, and another machine times all pictures"
+                    "the worker that timed jobs is gone, and no other is like it"
+                    f" ({self._timing[1] if self._timing else 'no workers'}): run the command"
+                    " again, and another machine times all pictures"
                 )
-        _, address, machine = found[0]
-        self._timing = address, machine
-        return self._timing
+            time.sleep(REFRESH)
 
     @contextmanager
-    def _held_still(self, address: str) -> Iterator[None]:
+    def held_still(self, address: str) -> Iterator[None]:
         """Keep the other workers of a worker's machine, and its other threads, from any work."""
         present, threads = self._identities(), self.client.nthreads()
         host = present[address].host
@@ -350,6 +359,21 @@ class _Alone(Executor):
 
     def __init__(self, owner: ClusterExecutor):
         self._owner = owner
+        self._address = ""
+        self._held = ExitStack()
+
+    def place(self) -> str:
+        """Return the address of the worker, when the others of its machine hold still."""
+        address, _ = self._owner.timing_worker()
+        if address != self._address:
+            self._held.close()  # The new one may have been among those that held still.
+            self._held.enter_context(self._owner.held_still(address))
+            self._address = address
+        return address
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Let the other workers work again; nothing is ever left to wait for or to cancel."""
+        self._held.close()
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Call `fn` there, and return a future that is done."""
@@ -378,7 +402,7 @@ class _Alone(Executor):
         while True:
             call = self._owner.call(fn, arguments)
             work = (worker.run, call) if call is not None else (fn, *arguments)
-            address, _ = self._owner.timing_worker()
+            address = self.place()
             future = client.submit(*work, workers=[address], pure=False)
             while address in client.nthreads():
                 try:
@@ -428,7 +452,7 @@ def start(workers: int, say: Callable[[str], None] = lambda sentence: None) -> C
             n_workers=workers,
             threads_per_worker=1,
             host="127.0.0.1",
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",
             memory_limit=None,  # Only the machine's own
             silence_logs=logging.CRITICAL,
         )

@@ -3,12 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
 
 from . import passes
-from .job import RenderJob
+from .job import Plan, RenderJob
 from .passes import Average, Progress, Rendering, Timing
+
+# Of a pass, where passes are jobs: some seconds on a few processor cores. No more is lost when a
+# worker dies or a run is interrupted.
+SAMPLES_PER_PASS = 2**24
+
+
+def with_passes_for_a_cluster(job: RenderJob, plan: Plan) -> RenderJob:
+    """
+    Return a job with as many passes as hold some :data:`SAMPLES_PER_PASS` each.
+
+    The number depends on the picture alone, so that all clusters, and this process, give the same.
+    """
+    width, height = plan.film_size
+    passes = math.ceil(plan.spp * width * height / SAMPLES_PER_PASS)
+    return dataclasses.replace(job, passes=passes)
 
 
 def divide(job: RenderJob, sizes: Sequence[int]) -> list[RenderJob]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import numpy as np
 from ..files import images
 from ..files.images import Image
 from ..rendering import provenance
-from ..rendering.executor import LocalExecutor
+from ..rendering.executor import JobExecutor, LocalExecutor
 from ..rendering.job import Rendering, RenderJob, Timing
 from .kinds import split
 
@@ -51,14 +52,22 @@ class Gallery:
     code, and the machine, since its times are kept with it.
     """
 
-    def __init__(self, folder: Path, scene_file: Path, parameters: Mapping[str, str]):
+    def __init__(
+        self,
+        folder: Path,
+        scene_file: Path,
+        parameters: Mapping[str, str],
+        executor: JobExecutor | None = None,  # by default one in this process
+    ):
+        self._executor = executor
+        self.machine = (executor or LocalExecutor()).machine()  # that renders, alone
         self.folder = folder
         self.scene_file = scene_file
         self.parameters = dict(parameters)
         self._settings = settings(scene_file, parameters)
         self._settings |= {
             "picture_digest": provenance.picture_digest(),
-            "machine": provenance.machine(),
+            "machine": self.machine,
         }
 
     def find(self, task: Task) -> Picture | None:
@@ -84,13 +93,15 @@ class Gallery:
         Render pictures and write them, in an order that is fair to the strategies.
 
         Strategies take turns, so that a machine that slows down slows all of them. The pictures are
-        rendered on this machine, one at a time, since their times are compared.
+        rendered on one machine, one at a time, since their times are compared.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         jobs = {task: self._job(task) for task in sorted(tasks)}
         pictures = {}
-        with LocalExecutor() as executor:
-            renderings = executor.map(RenderJob.run, jobs.values())
+        with ExitStack() as stack:
+            executor = self._executor or stack.enter_context(LocalExecutor())
+            alone = stack.enter_context(executor.alone())
+            renderings = alone.map(RenderJob.run, jobs.values())
             for (task, job), rendering in zip(jobs.items(), renderings, strict=True):
                 image = colour(rendering, f"{task.sampling} at {task.spp} spp, seed {task.seed}")
                 pictures[task] = self._write(task, job, rendering, image)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..files import atomic, images
 from ..files.images import Image
+from ..rendering.division import SAMPLES_PER_PASS
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import RenderJob
 from .album import Album
@@ -20,9 +21,6 @@ from .gallery import colour, settings, variant
 from .metrics import flip, reference_errors
 
 SEED = 20170419  # the halves' passes take their seeds from it
-
-# Some seconds on a few processor cores: no more is lost in an interruption.
-SAMPLES_PER_PASS = 2**24
 
 
 @dataclass(frozen=True)

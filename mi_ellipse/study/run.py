@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..files import images
-from ..rendering.provenance import machine
+from ..rendering.executor import JobExecutor
 from ..sampling import find
 from . import results
 from .album import Album
@@ -33,6 +33,7 @@ def compare(
     parameters: Mapping[str, str] | None = None,
     progress: Progress = lambda step, done, total: None,
     say: Callable[[str], None] = print,
+    executor: JobExecutor | None = None,
 ) -> Comparison:
     """
     Compare sampling strategies in a scene with a reference, at equal samples and at equal time.
@@ -61,6 +62,9 @@ def compare(
         Values for the scene's ``<default>`` parameters.
     progress, say
         Called with the progress of a step, and with sentences for the user.
+    executor
+        Where pictures and reference are rendered; by default in this process. Pictures are timed,
+        so they are rendered alone on one machine; only the reference is spread.
 
     Raises
     ------
@@ -73,7 +77,7 @@ def compare(
     _check(strategies, spp)
 
     # Pictures come first: they show within seconds whether the scene renders at all.
-    gallery = Gallery(folder / "pictures", scene_file, parameters)
+    gallery = Gallery(folder / "pictures", scene_file, parameters, executor)
     grid = [(name, count) for name in strategies for count in spp]
     pictures = _fill(gallery, grid, seeds, EQUAL_SAMPLES, progress, say)
     matches = _match_times(strategies, spp, pictures)
@@ -88,6 +92,7 @@ def compare(
         reference_spp,
         lambda done, total: progress("reference", done, total),
         say,
+        executor=executor,
         album=album,
     )
     values = measure(folder, pictures, reference, album, progress)
@@ -101,7 +106,7 @@ def compare(
 
     about = settings(scene_file, parameters)
     comparison = Comparison(
-        scene_file, parameters, folder, strategies, spp, seeds, about, machine(), reference,
+        scene_file, parameters, folder, strategies, spp, seeds, about, gallery.machine, reference,
         tuple(measurements), album,
     )  # fmt: skip
     results.write(comparison)
