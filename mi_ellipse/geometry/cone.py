@@ -70,32 +70,39 @@ def _positive_root(b: mi.Float, p: mi.Float, k: mi.Float) -> mi.Float:
     return dr.select(rising, q, p) / dr.maximum(dr.select(rising, k, q), TINY)
 
 
+def _taylor(root: mi.Float, a: mi.Float, b: mi.Float, c: mi.Float) -> tuple[mi.Float, ...]:
+    """Value, slope and half the second derivative of the cubic ``λ³ - a λ² - b λ - c``."""
+    first = root - a
+    second = dr.fma(first, root, -b)
+    value = dr.fma(second, root, -c)
+    first += root
+    return value, dr.fma(first, root, second), first + root
+
+
+def _cauchy(root: mi.Float, a: mi.Float, b: mi.Float, c: mi.Float) -> mi.Float:
+    """One step of Cauchy's method towards the largest root of the cubic.
+
+    It solves the Taylor polynomial of second order. It never leaves the side of the root where the
+    cubic rises.
+    """
+    zero = mi.Float(0)
+    value, slope, curvature = _taylor(root, a, b, c)
+    disc = dr.fma(slope, slope, -4 * curvature * value)
+    disc = dr.select(disc > zero, disc, zero)
+    return root - (value + value) / dr.maximum(slope + dr.sqrt(disc), TINY)
+
+
 def _refine(root: mi.Float, a: mi.Float, b: mi.Float, c: mi.Float) -> mi.Float:
     """Largest root of the cubic ``λ³ - a λ² - b λ - c``, from a starting value in two steps.
 
-    The first step is Cauchy's method: it solves the Taylor polynomial of second order. It never
-    leaves the side of the root where the cubic rises. The second step is the inverse of the cubic
-    to fourth order (Schröder).
+    The second step is the inverse of the cubic to fourth order (Schröder).
     """
-
-    def taylor(root):
-        """Value, slope and half the second derivative of the cubic."""
-        first = root - a
-        second = dr.fma(first, root, -b)
-        value = dr.fma(second, root, -c)
-        first += root
-        return value, dr.fma(first, root, second), first + root
-
-    zero, one = mi.Float(0), mi.Float(1)
-    value, slope, curvature = taylor(root)
-    disc = dr.fma(slope, slope, -4 * curvature * value)
-    disc = dr.select(disc > zero, disc, zero)
-    root = root - (value + value) / dr.maximum(slope + dr.sqrt(disc), TINY)
-
-    value, slope, curvature = taylor(root)
+    root = _cauchy(root, a, b, c)
+    value, slope, curvature = _taylor(root, a, b, c)
     inv = dr.rcp(slope)
     change = value * inv
     q = change * (curvature * inv)
+    one = mi.Float(1)
     root -= change * dr.fma(q, dr.fma(2, q, one), dr.fma(-change * change, inv, one))
     return dr.select(a > FAR, a, root)
 
@@ -136,6 +143,29 @@ def confocal_root(centre: mi.Vector3d, ratio: mi.Float64) -> mi.Float:
     other = _positive_root(middle, m * z2, r2)
     root = _refine(dr.select(other > root, other, root), a, b, c)
     return dr.select(root > z2, root, z2)
+
+
+def coarse_root(
+    x2: mi.Float, y2: mi.Float, z2: mi.Float, e2: mi.Float, h2: mi.Float
+) -> tuple[mi.Float, mi.Float]:
+    """About the positive root λ of ``x²/(1 + λ) + y²/(e² + λ) + z²/(h² + λ) = 1``.
+
+    One step of `_refine` from the start of `confocal_root`, in single precision. Also returns the
+    product of λ and the two other roots: the constant term of the cubic, positive outside.
+    """
+    one = mi.Float(1)
+    sum2, eh2 = e2 + h2, e2 * h2
+    a = x2 + y2 + z2 - one - sum2
+    b = dr.fma(x2, sum2, dr.fma(y2, one + h2, dr.fma(z2, one + e2, -sum2 - eh2)))
+    c = dr.fma(x2 - one, eh2, dr.fma(y2, h2, z2 * e2))
+
+    large = b > 0
+    root = _positive_root(dr.select(large, a, b), dr.select(large, b, c), dr.select(large, one, -a))
+    r2 = x2 + y2
+    mean = dr.fma(y2, e2, x2) / dr.maximum(r2, TINY)
+    other = _positive_root(r2 + z2 - mean - h2, dr.fma(mean, z2 - h2, h2 * r2), one)
+    root = dr.maximum(dr.maximum(root, other), TINY)
+    return dr.select(a > FAR, a, _cauchy(root, a, b, c)), c
 
 
 def of_ellipse(

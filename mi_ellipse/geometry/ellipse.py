@@ -11,7 +11,7 @@ import mitsuba as mi
 
 from . import cone
 from .cone import Cone
-from .light import Hit, Outlook, View, field_values
+from .light import Hit, View, field_values
 from .tracing import cross
 
 # A reference point closer to the plane of the light counts as being at this height, in units of the
@@ -27,7 +27,9 @@ FARTHEST = 1e25
 class EllipseView(View):
     """An ellipse as it is seen from a point, along ``(ex, ey, normal)``."""
 
-    def _solve(self) -> mi.Float:
+    @cached_property
+    def root(self) -> mi.Float:
+        """The confocal root, on which the whole cone rests."""
         return cone.confocal_root(self.position, self.light.ratio)
 
     @cached_property
@@ -37,31 +39,6 @@ class EllipseView(View):
         return cone.of_ellipse(
             self.position, self.root, light.ratio32, light.inv_ratio, light.eccentricity2
         )
-
-    def outlook(self, normal: mi.Normal3f) -> Outlook:
-        """What the irradiance depends on, at a surface with a world-space normal.
-
-        From the root alone, without the frame of the cone: product and sum of the eigenvalues of
-        the dual cone matrix give the sines, and its value for the normal gives the reach. In single
-        precision the reach of small lights is lost in rounding, where it hardly matters.
-        """
-        light, root = self.light, self.root
-        x, y, z = self.centre
-        one = mi.Float(1)
-        e2 = dr.square(light.ratio32)
-        inv_root, inv_y = dr.rcp(root), dr.rcp(e2 + root)
-
-        determinant2 = z * z * e2
-        positive = dr.fma(z * z, inv_root, dr.fma(y * y * light.eccentricity2, inv_y, e2))
-        sines2 = determinant2 / dr.fma(root * root, root + positive, determinant2)
-
-        ex, ey, up = light.axes32
-        n = mi.Vector3f(dr.dot(normal, ex), dr.dot(normal, ey), dr.dot(normal, up))
-        axis = mi.Vector3f(x * root * dr.rcp(one + root), y * root * inv_y, z)
-        nz = dr.dot(n, axis) * dr.rsqrt(dr.squared_norm(axis))
-        along = dr.dot(n, self.centre)
-        dual = dr.fma(n.x, n.x, dr.fma(e2 * n.y, n.y, -along * along))
-        return Outlook(sines2, nz, dr.fma(dual, inv_root, nz * nz))
 
     @property
     def lit(self) -> mi.Mask:
@@ -126,9 +103,9 @@ class Ellipse(PrincipalAxes):
         """Return what a lamp keeps."""
         return StoredEllipse(**(field_values(self) | {"centre": mi.Point3f(self.centre)}))
 
-    def seen_from(self, point: mi.Point3f, root: mi.Float | None = None) -> EllipseView:
-        """Return the view of the light from a world-space point; `root` if it is known already."""
-        return EllipseView(self, self.light_coordinates(point), root)
+    def seen_from(self, point: mi.Point3f) -> EllipseView:
+        """Return the view of the light from a world-space point."""
+        return EllipseView(self, self.light_coordinates(point))
 
     @cached_property
     def normal(self) -> mi.Vector3d:

@@ -37,7 +37,9 @@ class EllipsoidView(View):
         light = self.light
         return mi.Float(self.confocal.c) * dr.square(light.inv_ratio * light.inv_flatness)
 
-    def _solve(self) -> mi.Float:
+    @cached_property
+    def root(self) -> mi.Float:
+        """The confocal root, on which the whole cone rests."""
         return cone.confocal_root_of_solid(self.confocal)
 
     @cached_property
@@ -104,9 +106,9 @@ class Ellipsoid(SemiAxes):
         """Return what a lamp keeps."""
         return StoredEllipsoid(**(field_values(self) | {"centre": mi.Point3f(self.centre)}))
 
-    def seen_from(self, point: mi.Point3f, root: mi.Float | None = None) -> EllipsoidView:
-        """Return the view of the light from a world-space point; `root` if it is known already."""
-        return EllipsoidView(self, self.light_coordinates(point), root)
+    def seen_from(self, point: mi.Point3f) -> EllipsoidView:
+        """Return the view of the light from a world-space point."""
+        return EllipsoidView(self, self.light_coordinates(point))
 
     @cached_property
     def ez(self) -> mi.Vector3d:

@@ -7,7 +7,6 @@ from dataclasses import fields
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Protocol
 
-import drjit as dr
 import mitsuba as mi
 
 from .cone import Cone
@@ -22,14 +21,6 @@ class Hit(NamedTuple):
     distance: mi.Float  # From the reference point, in world units
 
 
-class Outlook(NamedTuple):
-    """What the irradiance of a light depends on, at a surface."""
-
-    sines2: mi.Float  # Squared product of the sines of the cone's half-angles
-    nz: mi.Float  # Cosine between the normal and the axis of the cone
-    reach2: mi.Float  # Squared |nz| at which the horizon of the normal touches the cone
-
-
 class View(ABC):
     """A light as it is seen from a point, along the light's own axes.
 
@@ -39,25 +30,16 @@ class View(ABC):
         The light.
     position
         Vector from the point to the centre, as `Light.light_coordinates` returns it.
-    root
-        The confocal root of the position, if it is known already.
     """
 
-    def __init__(self, light: Any, position: mi.Vector3d, root: mi.Float | None = None):
+    def __init__(self, light: Any, position: mi.Vector3d):
         self.light = light
         self.position = position
-        self._root = root
 
     @property
+    @abstractmethod
     def root(self) -> mi.Float:
         """The confocal root, on which the whole cone rests."""
-        if self._root is None:
-            self._root = self._solve()
-        return self._root
-
-    @abstractmethod
-    def _solve(self) -> mi.Float:
-        """Find the root."""
 
     @cached_property
     def centre(self) -> mi.Vector3f:
@@ -68,13 +50,6 @@ class View(ABC):
     @abstractmethod
     def cone(self) -> Cone:
         """The cone of directions that meet the light."""
-
-    def outlook(self, normal: mi.Normal3f) -> Outlook:
-        """What the irradiance depends on, at a surface with a world-space normal."""
-        seen = self.cone
-        n = seen.to_local(self.light.to_light(normal))
-        sines2 = seen.ta2 * seen.tb2 / ((1 + seen.ta2) * (1 + seen.tb2))
-        return Outlook(sines2, n.z, dr.fma(n.x * n.x, seen.ta2, n.y * n.y * seen.tb2))
 
     @property
     @abstractmethod
@@ -106,8 +81,8 @@ class Light(Protocol):
     def stored(self) -> StoredLight:
         """Return what a lamp keeps."""
 
-    def seen_from(self, point: mi.Point3f, root: mi.Float | None = None) -> View:
-        """Return the view of the light from a world-space point; `root` if it is known already."""
+    def seen_from(self, point: mi.Point3f) -> View:
+        """Return the view of the light from a world-space point."""
 
     def light_coordinates(self, reference: mi.Point3f) -> mi.Vector3d:
         """Vector from a world-space point to the centre."""

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 
-from ..geometry.ellipse import StoredEllipse
-from ..geometry.ellipsoid import StoredEllipsoid
 from ..geometry.tracing import take
-from .estimate import irradiance
+from .estimate import Outlines
 
 # Part of the choice that is the same for all lamps of a leaf. It bounds what a low estimate costs:
 # with n lamps the weight of a sample is at most 50 n times what it is without a choice.
@@ -27,7 +25,6 @@ class Choice(NamedTuple):
     slot: mi.UInt32
     probability: mi.Float
     u: mi.Float  # Uniform in [0, 1) again
-    root: mi.Float  # `View.root` of the lamp, which its cone needs
 
 
 @dataclass
@@ -35,26 +32,7 @@ class Members:
     """The lamps of a group, an element a slot; a slot of no power is empty."""
 
     power: mi.Float  # Sampling weight times mean radiance
-    planar: StoredEllipse | None  # None if all lamps are solids
-    solid: StoredEllipsoid | None  # None if all lamps are planar
-    is_solid: mi.Bool
-
-    def kinds(self) -> list[tuple[type, Any]]:
-        """Type and arrays of each kind of light that the group has."""
-        kinds = [(StoredEllipse, self.planar), (StoredEllipsoid, self.solid)]
-        return [(kind, arrays) for kind, arrays in kinds if arrays is not None]
-
-    def estimate(self, slot: mi.UInt32, it: mi.Interaction3f) -> tuple[mi.Float, mi.Float]:
-        """`irradiance` of the light in a slot, and its `View.root`."""
-        found = []
-        for kind, arrays in self.kinds():
-            view = take(kind, arrays, slot).light().seen_from(it.p)
-            found.append((irradiance(view, it.n), view.root))
-        if len(found) == 1:
-            return found[0]
-        solid = take(mi.Bool, self.is_solid, slot)
-        planar, round_ = found
-        return tuple(dr.select(solid, b, a) for a, b in zip(planar, round_, strict=True))
+    outlines: Outlines
 
 
 def choose(
@@ -73,9 +51,9 @@ def choose(
     u
         A random number in [0, 1).
     """
-    probabilities, roots = _shares(members, first, count, it)
+    probabilities = _shares(members, first, count, it)
     slot, start, end = mi.UInt32(0), mi.Float(0), mi.Float(0)
-    probability, root = probabilities[0], roots[0]
+    probability = probabilities[0]
     for k in range(1, count):
         end = end + probabilities[k - 1]
         # A slot without probability has no draws, whatever the sum is rounded to.
@@ -83,21 +61,18 @@ def choose(
         slot = dr.select(past, mi.UInt32(k), slot)
         start = dr.select(past, end, start)
         probability = dr.select(past, probabilities[k], probability)
-        root = dr.select(past, roots[k], root)
-    return Choice(first + slot, probability, rescaled(u, start, probability), root)
+    return Choice(first + slot, probability, rescaled(u, start, probability))
 
 
 def probability(
     members: Members, first: mi.UInt32, count: int, it: mi.Interaction3f, slot: mi.UInt32
-) -> tuple[mi.Float, mi.Float]:
-    """Probability with which `choose` takes a slot, and its `View.root`."""
-    probabilities, roots = _shares(members, first, count, it)
-    chosen, root = probabilities[0], roots[0]
+) -> mi.Float:
+    """Probability with which `choose` takes a slot."""
+    probabilities = _shares(members, first, count, it)
+    chosen = probabilities[0]
     for k in range(1, count):
-        here = slot == first + k
-        chosen = dr.select(here, probabilities[k], chosen)
-        root = dr.select(here, roots[k], root)
-    return chosen, root
+        chosen = dr.select(slot == first + k, probabilities[k], chosen)
+    return chosen
 
 
 def rescaled(u: mi.Float, start: mi.Float, width: mi.Float) -> mi.Float:
@@ -106,25 +81,21 @@ def rescaled(u: mi.Float, start: mi.Float, width: mi.Float) -> mi.Float:
     return dr.select(some, dr.clip((u - start) / dr.select(some, width, 1), 0, LAST), 0)
 
 
-def _shares(
-    members: Members, first: mi.UInt32, count: int, it: mi.Interaction3f
-) -> tuple[list[mi.Float], list[mi.Float]]:
-    """Probability of each slot, and the roots of the lights in them."""
-    gains, roots, powers = [], [], []
-    for k in range(count):
-        slot = first + mi.UInt32(k)
-        gain, root = members.estimate(slot, it)
-        powers.append(take(mi.Float, members.power, slot))
-        gains.append(powers[k] * gain)
-        roots.append(root)
+def _shares(members: Members, first: mi.UInt32, count: int, it: mi.Interaction3f) -> list[mi.Float]:
+    """Probability of each slot."""
+    slots = [first + mi.UInt32(k) for k in range(count)]
+    powers = [take(mi.Float, members.power, slot) for slot in slots]
+    gains = [
+        power * members.outlines.irradiance(slot, it.p, it.n)
+        for power, slot in zip(powers, slots, strict=True)
+    ]
     total = sum(gains[1:], gains[0])
     some = (total > 0) & (total < dr.inf)
     inverse = (1 - EQUAL_SHARE) * dr.select(some, dr.rcp(dr.select(some, total, 1)), 0)
     occupied = [dr.select(power > 0, mi.Float(1), 0) for power in powers]
     # Without any light all occupied slots are alike.
     equal = dr.select(some, EQUAL_SHARE, 1) / dr.maximum(sum(occupied[1:], occupied[0]), 1)
-    shares = [
+    return [
         dr.fma(dr.select(some, gain, 0), inverse, equal * there)
         for gain, there in zip(gains, occupied, strict=True)
     ]
-    return shares, roots

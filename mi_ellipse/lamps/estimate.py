@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
-from ..geometry.light import View
-from ..geometry.tracing import TINY
+from ..geometry.cone import coarse_root
+from ..geometry.tracing import TINY, table, take
 
 # Weight of the light on the far side of the geometric normal. The emitter does not know which side
 # of a surface is seen. A lamp that only lights the side that is not seen takes samples in vain; a
@@ -15,25 +18,100 @@ from ..geometry.tracing import TINY
 FAR_SIDE = 0.25
 
 
-def irradiance(view: View, normal: mi.Normal3f) -> mi.Float:
+@dataclass
+class Outlines:
+    """What the estimate needs of many lights, in single precision: ellipses and ellipsoids alike.
+
+    An ellipse is an ellipsoid whose shortest semi-axis is zero. Draws and densities use the lights
+    themselves. An estimate that is a little off costs a little variance and nothing else.
+    """
+
+    centre: mi.Point3f
+    x: mi.Vector3f  # Directions of the semi-axes, the longest one first, over the length lx of
+    y: mi.Vector3f  # the longest one
+    z: mi.Vector3f
+    lx: mi.Float
+    y2: mi.Float  # Squared semi-axes over lx
+    z2: mi.Float
+
+    @classmethod
+    def of(cls, fields: list[dict[str, np.ndarray]]) -> Outlines:
+        """Take what is needed from the fields of stored lights."""
+        lx, ratio, ex, ey, centre = (
+            np.array([light[name] for light in fields], dtype=float)
+            for name in ("lx", "ratio", "ex", "ey", "centre")
+        )
+        flatness = np.array([light.get("flatness", [0.0]) for light in fields], dtype=float)
+        lx, ratio, flatness = (values.reshape(-1) for values in (lx, ratio, flatness))
+        return cls(
+            centre=table(mi.Point3f, centre.T),
+            x=table(mi.Vector3f, ex.T / lx),
+            y=table(mi.Vector3f, ey.T / lx),
+            z=table(mi.Vector3f, np.cross(ex, ey).T / lx),
+            lx=table(mi.Float, lx),
+            y2=table(mi.Float, ratio**2),
+            z2=table(mi.Float, flatness**2),
+        )
+
+    def irradiance(self, slot: mi.UInt32, point: mi.Point3f, normal: mi.Normal3f) -> mi.Float:
+        """`irradiance` of the light in a slot."""
+        x, y, z = (take(mi.Vector3f, axis, slot) for axis in (self.x, self.y, self.z))
+        lx, y2, z2 = (take(mi.Float, numbers, slot) for numbers in (self.lx, self.y2, self.z2))
+        offset = take(mi.Point3f, self.centre, slot) - point
+        centre = mi.Vector3f(dr.dot(offset, x), dr.dot(offset, y), dr.dot(offset, z))
+        n = mi.Vector3f(dr.dot(normal, x), dr.dot(normal, y), dr.dot(normal, z)) * lx
+        return irradiance(centre, y2, z2, n)
+
+
+def irradiance(centre: mi.Vector3f, y2: mi.Float, z2: mi.Float, normal: mi.Vector3f) -> mi.Float:
     """About the irradiance from a light of unit radiance, over π, on both sides of a surface.
 
-    Exact for a light that the horizon does not divide: ``sin α sin β |n·z|``, with the half-angles
-    α and β and the axis z of the cone (`geometry.cone.vector_irradiance`). Where the horizon
-    divides the light, each side gets `_minor` more. In media, where the normal is zero, it is
+    For a light that the horizon does not divide it is ``sin α sin β |n·z|``, with the half-angles α
+    and β and the axis z of the cone (`geometry.cone.vector_irradiance`). Where the horizon divides
+    the light, each side gets `_minor` more. In media, where the normal is zero, it is
     ``sin α sin β``.
 
     The far side of the normal counts with `FAR_SIDE`. Where the light does not shine, it is zero.
+
+    Product and sum of the eigenvalues of the dual cone matrix give the sines, and its value for the
+    normal gives the reach, all from the confocal root alone. In single precision the reach of small
+    lights is lost in rounding, where it hardly matters.
+
+    Parameters
+    ----------
+    centre
+        Vector from the point to the centre of the light, along its axes, in units of the longest.
+    y2, z2
+        Squared middle and shortest semi-axis in these units; 0 for the shortest one of an ellipse.
+    normal
+        Normal of the surface along the same axes, or zero.
     """
-    sines2, nz, reach2 = view.outlook(normal)
-    sines, height = dr.sqrt(sines2), dr.abs(nz)
+    one = mi.Float(1)
+    cx, cy, cz = centre
+    xx, yy, zz = cx * cx, cy * cy, cz * cz
+    root, determinant = coarse_root(xx, yy, zz, y2, z2)
+    inv_root, inv_x = dr.rcp(root), dr.rcp(one + root)
+    inv_y, inv_z = dr.rcp(y2 + root), dr.rcp(z2 + root)
+
+    trace = dr.fma(yy * (one - y2), inv_y, dr.fma(zz * (one - z2), inv_z, y2 + z2))
+    sines2 = determinant * dr.rcp(dr.fma(root * root, root + trace, determinant))
+    axis = mi.Vector3f(cx * inv_x, cy * inv_y, cz * inv_z)
+    nz = dr.dot(normal, axis) * dr.rsqrt(dr.maximum(dr.squared_norm(axis), TINY))
+    along = dr.dot(normal, centre)
+    dual = dr.fma(normal.x, normal.x, dr.fma(y2 * normal.y, normal.y, -along * along))
+    dual = dr.fma(z2 * normal.z, normal.z, dual)
+    reach2 = dr.fma(dual, inv_root, nz * nz)
+
+    sines, height = dr.sqrt(dr.maximum(sines2, 0)), dr.abs(nz)
     divided = _minor(sines, height, reach2)
-    one, up = mi.Float(1), nz > 0
+    up = nz > 0
     side, other = dr.select(up, one, FAR_SIDE), dr.select(up, FAR_SIDE, one)
     cosine = dr.fma(height + divided, side, divided * other)
     cosine = dr.select(dr.squared_norm(normal) > 0, cosine, one)
     gain = sines * cosine
-    return dr.select(view.lit & dr.isfinite(gain), gain, 0)
+    # An ellipse shines to one side, an ellipsoid outwards.
+    lit = dr.select(z2 > 0, determinant > 0, cz < 0)
+    return dr.select(lit & dr.isfinite(gain), gain, 0)
 
 
 def _minor(sines: mi.Float, height: mi.Float, reach2: mi.Float) -> mi.Float:

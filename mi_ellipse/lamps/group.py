@@ -12,16 +12,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry.ellipse import StoredEllipse
-from ..geometry.ellipsoid import StoredEllipsoid
-from ..geometry.light import StoredLight, field_values
 from ..geometry.tracing import branch, lookup, table, take
-from ..sampling.strategy import Strategy
-from . import choice, tree
+from . import choice, records, tree
 from .choice import Choice, Members
+from .estimate import Outlines
 from .lamp import Lamp, density_of, draw_from
+from .records import Row
 from .sharing import Member, Once, member
-from .tree import Lights, Tree
+from .tree import Tree
 
 # Up to this number every lamp is estimated at every point.
 FEW = 8
@@ -57,6 +55,7 @@ class Group:
     emitters: InitVar[Sequence[mi.Emitter]]
 
     members: Members = field(init=False)
+    lights: dict[str, Any] = field(init=False)  # By the name of their kind, an element a slot
     nodes: Tree | None = field(init=False, default=None)  # None for few lamps
     radiance: mi.UnpolarizedSpectrum = field(init=False)
     behaviour: mi.UInt32 = field(init=False)  # Place in the list of the group's behaviours
@@ -69,12 +68,12 @@ class Group:
         self, lamps: Sequence[Lamp], weights: Sequence[float], emitters: Sequence[mi.Emitter]
     ) -> None:
         self._lamps = list(lamps)
-        self._rows = [_Row.of(lamp) for lamp in lamps]
+        self._rows = [Row.of(lamp) for lamp in lamps]
         self._weights = np.array(weights, dtype=float)
         # Weak, since each emitter holds the group
         self._emitters = [weakref.ref(emitter) for emitter in emitters]
         self.roles = [member(place, emitter) for place, emitter in enumerate(emitters)]
-        self._draw_once, self._density_once = Once(len(lamps)), Once(len(lamps))
+        self._draw_once, self._density_once = Once(len(lamps), self._plain), Once(len(lamps))
         self._arrange()
 
     def __len__(self) -> int:
@@ -84,55 +83,57 @@ class Group:
 
     def refresh(self, role: Member, weight: float) -> None:
         """Follow a change of a member's parameters."""
-        self._rows[role.place] = _Row.of(self._lamps[role.place])
+        self._rows[role.place] = Row.of(self._lamps[role.place])
         self._weights[role.place] = weight
         self._arrange()
 
     def _arrange(self) -> None:
         """Put the lamps into slots and make the arrays."""
         count = len(self._lamps)
-        brightness = np.array([row.brightness for row in self._rows]) * self._weights
+        power = np.array([row.brightness for row in self._rows]) * self._weights
         if count > FEW:
-            lights = _lights(self._rows, brightness)
+            lights = records.lights(self._rows, power)
             slots = tree.arrange(lights)
             self.nodes = tree.build(lights, slots)
         else:
             slots, self.nodes = np.arange(count), None
-        rows = np.where(slots >= 0, slots, 0)  # An empty slot has the numbers of some lamp
+        places = np.where(slots >= 0, slots, 0)  # An empty slot has the numbers of some lamp
+        rows = [self._rows[k] for k in places]
 
-        self.members = _members(
-            [self._rows[k] for k in rows], np.where(slots >= 0, brightness[rows], 0)
+        self.members = Members(
+            power=table(mi.Float, np.where(slots >= 0, power[places], 0)),
+            outlines=Outlines.of([row.fields for row in rows]),
         )
-        self._behaviours, behaviours = _distinct(self._lamps)
-        self.behaviour = table(mi.UInt32, behaviours[rows])
+        self.lights = records.stacks(rows)
+        self._behaviours, behaviours = records.behaviours(self._lamps)
+        self.behaviour = table(mi.UInt32, behaviours[places])
         share = self._weights / self._weights.sum()
-        self.start = table(mi.Float, (np.cumsum(share) - share)[rows])
-        self.width = table(mi.Float, share[rows])
+        self.start = table(mi.Float, (np.cumsum(share) - share)[places])
+        self.width = table(mi.Float, share[places])
         self._make_radiance(rows)
-        self._number_slots(slots, rows)
+        self._number_slots(slots, places)
         if not _scalar():
             dr.eval(self)
 
-    def _make_radiance(self, rows: np.ndarray) -> None:
+    def _make_radiance(self, rows: Sequence[Row]) -> None:
         """Radiance of a slot; none if a lamp has more than one colour."""
-        colours = [row.colour for row in self._rows]
-        self._uniform = all(colour is not None for colour in colours)
-        self._values = [row.value for row in self._rows]
+        self._uniform = all(row.colour is not None for row in rows)
+        self._values = [row.values for row in self._rows]
         if _scalar():
-            self.radiance = [colours[k] for k in rows] if self._uniform else []
+            self.radiance = [row.colour for row in rows]
             return
-        plain = np.zeros((len(rows), dr.size_v(mi.UnpolarizedSpectrum)))
+        colours = np.zeros((len(rows), dr.size_v(mi.UnpolarizedSpectrum)))
         if self._uniform:
-            plain = np.array([np.array(dr.detach(c)).ravel() for c in colours])[rows]
-        self.radiance = table(mi.UnpolarizedSpectrum, plain.T)
+            colours = np.array([np.array(dr.detach(row.colour)).ravel() for row in rows])
+        self.radiance = table(mi.UnpolarizedSpectrum, colours.T)
 
-    def _number_slots(self, slots: np.ndarray, rows: np.ndarray) -> None:
+    def _number_slots(self, slots: np.ndarray, places: np.ndarray) -> None:
         """Number of the member in a slot, and slot of a number."""
         numbers = np.array([role.number for role in self.roles])
         there = np.flatnonzero(slots >= 0)
         slot = np.zeros(numbers.max() + 1, dtype=np.uint32)
         slot[numbers[slots[there]]] = there
-        self.slot, self.number = table(mi.UInt32, slot), table(mi.UInt32, numbers[rows])
+        self.slot, self.number = table(mi.UInt32, slot), table(mi.UInt32, numbers[places])
 
     # ---- Directions ----
 
@@ -140,10 +141,7 @@ class Group:
         self, role: Member, it: mi.Interaction3f, u: mi.Point2f, active: mi.Mask
     ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
         """Answer of a member that is asked for a light sample, of any member."""
-        function = self._sample_direction
-        if self._plain():
-            return self._draw_once(function, role, it, u, active)
-        return function(role.constant, it, u, active)
+        return self._draw_once(self._sample_direction, role, it, u, active)
 
     def pdf_direction(
         self, role: Member, it: mi.Interaction3f, d: mi.Vector3f, active: mi.Mask
@@ -185,7 +183,7 @@ class Group:
             x = dr.fma(width, u.x, take(mi.Float, self.start, asked))
             chosen = self._choose(it, dr.minimum(x, choice.LAST))
             u = mi.Point2f(chosen.u, u.y)
-            *drawn, pdf = self._by_behaviour(draw_from, chosen.slot, chosen.root, it, u)
+            *drawn, pdf = self._by_behaviour(draw_from, chosen.slot, it, u)
             return *drawn, pdf * (chosen.probability / width), chosen.slot
 
     def _pdf_direction(self, number, it, d, active):
@@ -196,10 +194,10 @@ class Group:
         with dr.suspend_grad(), lookup(False):
             if self.nodes is None:
                 first, count = mi.UInt32(0), len(self._lamps)
-                share, root = choice.probability(self.members, first, count, it, slot)
+                share = choice.probability(self.members, first, count, it, slot)
             else:
-                share, root = self.nodes.probability(self.members, it, slot)
-            pdf = self._by_behaviour(density_of, slot, root, it, d)
+                share = self.nodes.probability(self.members, it, slot)
+            pdf = self._by_behaviour(density_of, slot, it, d)
             width = take(mi.Float, self.width, slot)
             # A weight may have become 0: such a lamp is never asked, and never answers.
             return dr.select(width > 0, pdf * share / dr.select(width > 0, width, 1), 0)
@@ -210,16 +208,16 @@ class Group:
         return self.nodes.choose(self.members, it, u)
 
     def _by_behaviour(
-        self, function: Callable, slot: mi.UInt32, root: mi.Float, it: mi.Interaction3f, argument
+        self, function: Callable, slot: mi.UInt32, it: mi.Interaction3f, argument: Any
     ) -> Any:
         """Call a function of `lamp` with the strategy and the light of the lamp in a slot."""
 
-        def call(kind, arrays, strategy, slot, root, it, argument):
-            return function(strategy, take(kind, arrays, slot), root, it, argument)
+        def call(kind, strategy, slot, it, argument):
+            light = take(kind, self.lights[kind.__name__], slot)
+            return function(strategy, light, it, argument)
 
-        kinds = dict(self.members.kinds())
-        calls = [partial(call, kind, kinds[kind], strategy) for kind, strategy in self._behaviours]
-        return _one_of(calls, take(mi.UInt32, self.behaviour, slot), (slot, root, it, argument))
+        calls = [partial(call, *behaviour) for behaviour in self._behaviours]
+        return _one_of(calls, take(mi.UInt32, self.behaviour, slot), (slot, it, argument))
 
 
 def _one_of(calls: Sequence[Callable], number: mi.UInt32, arguments: tuple) -> Any:
@@ -234,87 +232,10 @@ def _one_of(calls: Sequence[Callable], number: mi.UInt32, arguments: tuple) -> A
     return dr.if_stmt(arguments, number == 0, first, rest)
 
 
-@dataclass(frozen=True)
-class _Row:
-    """What a group needs of a lamp."""
-
-    stored: StoredLight
-    fields: dict[str, np.ndarray]  # Of the stored light, in NumPy
-    brightness: float  # Mean of the radiance
-    colour: mi.UnpolarizedSpectrum | None  # Radiance, if it is one colour, and no spectrum
-    value: Any  # The colour's parameter, which derivatives may follow
-
-    @classmethod
-    def of(cls, lamp: Lamp) -> _Row:
-        values = field_values(lamp.stored)
-        fields = {name: np.array(value).reshape(-1) for name, value in values.items()}
-        radiance = lamp.radiance
-        if mi.is_spectral or radiance.is_spatially_varying():
-            mean = float(np.array(dr.detach(radiance.mean())).ravel()[0])
-            return cls(lamp.stored, fields, mean, None, None)
-        colour = radiance.eval(dr.zeros(mi.SurfaceInteraction3f))
-        mean = float(np.mean(np.array(dr.detach(colour), dtype=float)))
-        return cls(lamp.stored, fields, mean, colour, mi.traverse(radiance)["value"])
-
-
-def _members(rows: Sequence[_Row], power: np.ndarray) -> Members:
-    """Arrays of the lights in the slots. Where the kind is wrong, one of the right kind repeats."""
-    solid = np.array([isinstance(row.stored, StoredEllipsoid) for row in rows])
-    arrays = {}
-    for name, kind, right in (
-        ("planar", StoredEllipse, ~solid),
-        ("solid", StoredEllipsoid, solid),
-    ):
-        some = np.flatnonzero(right)
-        chosen = [rows[k if right[k] else some[0]] for k in range(len(rows))] if some.size else None
-        arrays[name] = _stack(kind, chosen) if chosen else None
-    return Members(power=table(mi.Float, power), is_solid=table(mi.Bool, solid), **arrays)
-
-
-def _stack(kind: type, rows: Sequence[_Row]) -> StoredLight | list[StoredLight]:
-    """One record of arrays of many records; the records themselves in scalar variants."""
-    if _scalar():
-        return [row.stored for row in rows]
-    types = {name: type(value) for name, value in field_values(rows[0].stored).items()}
-    columns = {
-        name: np.stack([row.fields[name] for row in rows], axis=-1) for name in rows[0].fields
-    }
-    return kind(
-        **{
-            name: table(types[name], column[0] if len(column) == 1 else column)
-            for name, column in columns.items()
-        }
-    )
-
-
-def _lights(rows: Sequence[_Row], brightness: np.ndarray) -> Lights:
-    """Places, directions, sizes and powers of lamps. A solid shines all around."""
-    centre = np.array([row.fields["centre"] for row in rows], dtype=float)
-    ex, ey = (np.array([row.fields[name] for row in rows], dtype=float) for name in ("ex", "ey"))
-    radius = np.array([row.fields["lx"][0] for row in rows], dtype=float)
-    ratio = np.array([row.fields["ratio"][0] for row in rows])
-    solid = np.array([isinstance(row.stored, StoredEllipsoid) for row in rows])
-    # What a solid shows of itself is about as large as its largest cross section.
-    return Lights(
-        centre=centre,
-        normal=np.cross(ex, ey),
-        all_around=solid,
-        radius=radius,
-        power=brightness * np.pi * radius**2 * ratio,
-    )
-
-
 def _draw_nothing(u):
-    zero, origin = mi.Float(0), mi.Point3f(0)
-    return (
-        origin,
-        mi.Normal3f(zero),
-        mi.Point2f(zero),
-        mi.Vector3f(zero),
-        zero,
-        zero,
-        mi.UInt32(0),
-    )
+    zero = mi.Float(0)
+    nowhere = mi.Point3f(0), mi.Normal3f(zero), mi.Point2f(zero), mi.Vector3f(zero)
+    return *nowhere, zero, zero, mi.UInt32(0)
 
 
 def _no_density(d):
@@ -323,15 +244,3 @@ def _no_density(d):
 
 def _scalar() -> bool:
     return not dr.is_jit_v(mi.Float)
-
-
-def _distinct(lamps: Sequence[Lamp]) -> tuple[list[tuple[type, Strategy]], np.ndarray]:
-    """Kinds of lights with strategies, each pair once, and the place of each lamp's in the list."""
-    pairs: dict[Any, tuple[type, Strategy]] = {}
-    keys = []
-    for lamp in lamps:
-        kind = type(lamp.stored)
-        keys.append((kind, lamp.strategy if lamp.follows_texture else lamp.sampling))
-        pairs.setdefault(keys[-1], (kind, lamp.strategy))
-    places = {key: place for place, key in enumerate(pairs)}
-    return list(pairs.values()), np.array([places[key] for key in keys], dtype=np.uint32)

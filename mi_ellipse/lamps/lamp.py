@@ -110,7 +110,7 @@ class Lamp:
     def _draw(self, it, u):
         """`Draw` of one trace of the branch."""
         with dr.suspend_grad(), lookup(self.follows_texture):
-            drawn = p, n, uv, _, _, pdf = draw_from(self.strategy, self.stored, None, it, u)
+            drawn = p, n, uv, _, _, pdf = draw_from(self.strategy, self.stored, it, u)
             inv_pdf = dr.select(pdf > 0, dr.rcp(pdf), 0)
             si = dr.zeros(mi.SurfaceInteraction3f)
             si.p, si.n, si.uv = p, n, uv
@@ -120,7 +120,7 @@ class Lamp:
     def _density(self, it, d):
         """Density of one trace of the branch."""
         with dr.suspend_grad(), lookup(self.follows_texture):
-            return density_of(self.strategy, self.stored, None, it, d)
+            return density_of(self.strategy, self.stored, it, d)
 
     # ---- Positions ----
 
@@ -146,7 +146,6 @@ class Lamp:
 def draw_from(
     strategy: Strategy,
     stored: StoredLight,
-    root: mi.Float | None,
     it: mi.Interaction3f,
     u: mi.Point2f,
 ) -> tuple[mi.Point3f, mi.Normal3f, mi.Point2f, mi.Vector3f, mi.Float, mi.Float]:
@@ -158,8 +157,6 @@ def draw_from(
         How to draw.
     stored
         The light.
-    root
-        `View.root`, if it is known already.
     it
         Reference point and normal of the surface there.
     u
@@ -178,7 +175,7 @@ def draw_from(
         NaN would survive a multiplication by zero.
     """
     light = stored.light()
-    view = light.seen_from(it.p, root)
+    view = light.seen_from(it.p)
     record = strategy.prepare(view, it.n)
     d, pdf, valid = strategy.sample(record, u)
     zero = mi.Float(0)
@@ -194,13 +191,12 @@ def draw_from(
 def density_of(
     strategy: Strategy,
     stored: StoredLight,
-    root: mi.Float | None,
     it: mi.Interaction3f,
     direction: mi.Vector3f,
 ) -> mi.Float:
     """Density with which `draw_from` draws a world-space direction that meets the light."""
     light = stored.light()
-    view = light.seen_from(it.p, root)
+    view = light.seen_from(it.p)
     record = strategy.prepare(view, it.n)
     pdf = strategy.pdf(record, light.to_light(direction))
     return dr.select(view.lit & dr.isfinite(pdf), pdf, 0)

@@ -43,23 +43,31 @@ class Once:
 
     The first trace keeps its result, and the others return it. The last one lets it go: nothing of
     a trace may outlive it.
+
+    Parameters
+    ----------
+    members
+        How many members there are.
+    possible
+        Tells whether the members can share a trace.
     """
 
-    def __init__(self, members: int):
+    def __init__(self, members: int, possible: Callable[[], bool] = lambda: True):
         self.members = members
+        self.possible = possible
         self._forget()
 
     def __call__(self, function: Callable, called: Member, *arguments: Any) -> Any:
-        """``function(number, *arguments)`` with a variable for the number of the member.
-
-        Derivatives trace a function again, with other variables. They do without the sharing.
-        """
-        number = None if dr.grad_enabled(arguments) else traced_instance(called.number)
+        """``function(number, *arguments)`` with a variable for the number of the member."""
+        number = traced_instance(called.number)
         if number is None:
             return function(called.constant, *arguments)
         key = tuple(dr.detail.collect_indices(arguments))
         if self._key != key:
             self._forget()
+            # Derivatives trace a function again, with other variables.
+            if dr.grad_enabled(arguments) or not self.possible():
+                return function(called.constant, *arguments)
             # The arguments too: as long as they live, no other variables have their numbers.
             self._key, self._arguments = key, arguments
             self._result = function(number, *arguments)

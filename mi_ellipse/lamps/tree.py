@@ -63,10 +63,8 @@ class Tree:
         leaf = choice.choose(members, position * LEAF, LEAF, it, u)
         return leaf._replace(probability=leaf.probability * chance)
 
-    def probability(
-        self, members: Members, it: mi.Interaction3f, slot: mi.UInt32
-    ) -> tuple[mi.Float, mi.Float]:
-        """Probability with which `choose` takes a slot, and its `View.root`."""
+    def probability(self, members: Members, it: mi.Interaction3f, slot: mi.UInt32) -> mi.Float:
+        """Probability with which `choose` takes a slot."""
         position = slot // LEAF
 
         def descend(level, chance):
@@ -76,8 +74,7 @@ class Tree:
             return level + mi.UInt32(1), chance * dr.select(is_right, 1 - share, share)
 
         _, chance = self._loop(descend, mi.Float(1))
-        inside, root = choice.probability(members, position * LEAF, LEAF, it, slot)
-        return chance * inside, root
+        return chance * choice.probability(members, position * LEAF, LEAF, it, slot)
 
     def _loop(self, body: Callable, *state: Any) -> tuple:
         """Result of a body that runs once for each level, from the first one below the root on."""
