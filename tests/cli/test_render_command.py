@@ -279,7 +279,9 @@ def test_invalid_pixels_are_announced(scene_file, monkeypatch):
 def test_loss_of_stratification_is_announced(scene_file, monkeypatch, sampler, warns):
     plan = passes.plan_passes
     monkeypatch.setattr(
-        passes, "plan_passes", lambda scene, spp=None, limit=0: plan(scene, spp, samples(4))
+        passes,
+        "plan_passes",
+        lambda scene, spp=None, limit=0, passes=1: plan(scene, spp, samples(4)),
     )
     result = invoke("render", scene_file, "--spp", 16, "-D", f"sampler={sampler}")
     assert "16 spp, 4 passes" in result.stdout

@@ -203,5 +203,7 @@ def test_description_of_a_picture(scene_file):
         "seed": "3",
         "variant": "llvm_ad_rgb",
         "sampling": "area",
+        "grouping": "yes",
         "parameters": '{"sampler": "stratified"}',
+        "machine": provenance.machine(),
     }
