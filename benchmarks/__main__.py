@@ -27,6 +27,7 @@ NAMES = (
     "growth",
     "ellipsoids",
     "groups",
+    "cluster",
 )
 FIGURES = "figures"
 

@@ -454,7 +454,7 @@ def start(workers: int, say: Callable[[str], None] = lambda sentence: None) -> C
             host="127.0.0.1",
             dashboard_address="127.0.0.1:0",
             memory_limit=None,  # Only the machine's own
-            silence_logs=logging.CRITICAL,
+            silence_logs=logging.CRITICAL + 1,
         )
         closing.callback(cluster.close)
         client = distributed.Client(cluster, set_as_default=False)

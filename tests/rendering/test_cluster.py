@@ -198,26 +198,29 @@ def test_missing_schedulers_and_workers_are_errors(tmp_path, monkeypatch):
         cluster.connect(empty.scheduler_address)
 
 
-# ---- Workers that die ----
+# ---- Workers that die, and Ctrl-C ----
 
 
-def killing_executor(executor, after):
-    """An executor that kills a worker when so many results are there."""
-    done = 0
+class Disturbed(LocalExecutor):
+    """Jobs of another executor; something happens after so many results of a `map`."""
 
-    class Killing(LocalExecutor):
-        def submit(self, *call):
-            return executor.submit(*call)
+    def __init__(self, executor, after, disturb):
+        super().__init__()
+        self._executor, self._after, self._disturb = executor, after, disturb
 
-        def map(self, fn, jobs, **options):
-            nonlocal done
-            for result in executor.map(fn, jobs):
-                yield result
-                done += 1
-                if done == after:
-                    kill(executor, min(pids(executor)))
+    def submit(self, fn, /, *arguments):
+        return self._executor.submit(fn, *arguments)
 
-    return Killing()
+    def map(self, fn, jobs, **options):
+        for done, result in enumerate(self._executor.map(fn, jobs)):
+            if done == self._after:
+                self._disturb()
+            yield result
+
+
+def interrupt():
+    """Do what Ctrl-C does."""
+    raise KeyboardInterrupt
 
 
 def test_a_reference_is_the_local_one_bit_for_bit_when_a_worker_dies(both, small_scene, tmp_path):
@@ -225,9 +228,8 @@ def test_a_reference_is_the_local_one_bit_for_bit_when_a_worker_dies(both, small
     width, height = SMALL_SIZE
     options = {"samples_per_pass": width * height * 64}
     before = pids(both)
-    there = reference_of(
-        small_scene, tmp_path / "there", 4096, executor=killing_executor(both, 10), **options
-    )
+    disturbed = Disturbed(both, 10, lambda: kill(both, min(pids(both))))
+    there = reference_of(small_scene, tmp_path / "there", 4096, executor=disturbed, **options)
     here = reference_of(small_scene, tmp_path / "here", 4096, **options)
     wait_for(lambda: len(pids(both)) == 2)
     assert len(pids(both).items() - before.items()) == 1
@@ -238,10 +240,12 @@ def test_a_reference_is_the_local_one_bit_for_bit_when_a_worker_dies(both, small
     assert there.errors == here.errors
 
 
-def test_a_reference_goes_on_elsewhere(both, small_scene, tmp_path, count_renders):
+def test_an_interrupted_reference_goes_on_elsewhere(both, small_scene, tmp_path, count_renders):
     """Begun on the cluster and ended in this process, it is that of one run, bit for bit."""
-    reference_of(small_scene, tmp_path / "parts", 8, executor=both)
+    with pytest.raises(KeyboardInterrupt):
+        reference_of(small_scene, tmp_path / "parts", 24, executor=Disturbed(both, 2, interrupt))
     assert count_renders.made == []
+    wait_for(lambda: not any(both.client.processing().values()))
     parts = reference_of(small_scene, tmp_path / "parts", 24)
     assert [spp for spp, _ in count_renders.made] == [4, 4, 4, 4]
     whole = reference_of(small_scene, tmp_path / "whole", 24)
@@ -339,6 +343,16 @@ def test_compare_takes_the_options_of_a_cluster(small_scene, tmp_path, monkeypat
     )  # fmt: skip
     assert result.exit_code == 1
     assert "no Dask scheduler answers at tcp://127.0.0.1:9" in result.stderr
+
+
+def test_workers_of_this_machine(small_scene, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    options = ("--spp", 6, "--passes", 3)
+    there = invoke("render", small_scene, *options, "-o", "a.exr", "--workers", 1)
+    assert there.exit_code == 0, there.output
+    assert "Cluster: 1 worker(s) with 1 thread(s)" in there.stderr
+    assert invoke("render", small_scene, *options, "-o", "b.exr").exit_code == 0
+    np.testing.assert_array_equal(read("a.exr"), read("b.exr"))
 
 
 def test_one_place_at_a_time(small_scene):
