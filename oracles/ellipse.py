@@ -265,6 +265,11 @@ STRATA = (
 )  # fmt: skip
 
 
+STRATA_OF_SPHERES = (
+    "ordinary", "1e-5 above", "1e-2 above", "1e6 away", "on an axis", "world offset",
+)  # fmt: skip
+
+
 @cache
 def extreme_ellipsoids(per_stratum: int = 40) -> dict[str, np.ndarray]:
     """Ellipsoids seen from outside, as `extreme_ellipses`: axes as columns, and the truth.
@@ -272,7 +277,18 @@ def extreme_ellipsoids(per_stratum: int = 40) -> dict[str, np.ndarray]:
     Centre and reference point are rounded to single precision, the axes are not.
     """
     rng = np.random.default_rng(5)
-    cases = [_extreme(rng, name) for name in STRATA for _ in range(per_stratum)]
+    return _with_truth(STRATA, [_extreme(rng, name) for name in STRATA for _ in range(per_stratum)])
+
+
+@cache
+def extreme_spheres(per_stratum: int = 40) -> dict[str, np.ndarray]:
+    """Spheres seen from outside, as `extreme_ellipsoids`."""
+    rng = np.random.default_rng(6)
+    names = [name for name in STRATA_OF_SPHERES for _ in range(per_stratum)]
+    return _with_truth(STRATA_OF_SPHERES, [_extreme(rng, name, sphere=True) for name in names])
+
+
+def _with_truth(strata: tuple[str, ...], cases: list) -> dict[str, np.ndarray]:
     axes, centre, reference = (np.array(part) for part in zip(*cases, strict=True))
     centre, reference = (np.float32(v).astype(float) for v in (centre, reference))
     seen = [solid_cone(*each) for each in zip(axes, centre - reference, strict=True)]
@@ -285,12 +301,12 @@ def extreme_ellipsoids(per_stratum: int = 40) -> dict[str, np.ndarray]:
         "ta": ta,
         "tb": tb,
         "solid_angle": solid_angle(ta, tb),
-        "stratum": np.repeat(np.arange(len(STRATA)), per_stratum),
-        "labels": np.array(STRATA),
+        "stratum": np.repeat(np.arange(len(strata)), len(cases) // len(strata)),
+        "labels": np.array(strata),
     }
 
 
-def _extreme(rng, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _extreme(rng, name: str, sphere: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Semi-axis vectors as columns, centre and reference point of one of `STRATA`."""
     a, b = np.sort(rng.uniform(0.1, 1, 2))[::-1]
     thin = 10 ** rng.uniform(-6, -3, 2)
@@ -303,7 +319,7 @@ def _extreme(rng, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         "beyond the tip": [1, *thin],
         "pancake": [1, a, thin[0]],
         "blade": [1, 1e-3, 1e-6],
-    }.get(name, [1, a, b])
+    }.get("sphere" if sphere else name, [1, a, b])
     lengths = np.sort(lengths)[::-1]
     height = {"1e-5 above": 1e-5, "1e-2 above": 1e-2, "1e6 away": 1e6}.get(
         name, 10 ** rng.uniform(-3, 1)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from commands import LAMP, write_scene
 from mi_ellipse.geometry import ellipse, ellipsoid
+from mi_ellipse.geometry.sphere import Sphere
 
 pytest_plugins = ["comparisons"]
 
@@ -116,6 +117,15 @@ def ellipsoids(linear, centre):
     matrix = np.zeros((len(linear), 4, 4))
     matrix[:, :3, :3], matrix[:, :3, 3], matrix[:, 3, 3] = linear, centre, 1
     return ellipsoid.from_transform(mi.Matrix4d(np.moveaxis(matrix, 0, -1)))
+
+
+def spheres(linear, centre):
+    """A batch of spheres, as `ellipsoids`; the columns are orthogonal and of one length."""
+    linear = np.asarray(linear, float)
+    radius = np.linalg.norm(linear[:, :, 0], axis=1)
+    axes = (mi.Vector3f((linear[:, :, k] / radius[:, None]).T) for k in range(3))
+    place = mi.Point3d(np.asarray(centre, float).T)
+    return Sphere(mi.Float64(1 / radius), mi.Float(radius), *axes, place)
 
 
 def kernels_of(scene):

@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 
 from .. import __version__
-from . import compare, doctor, render, report
+from . import compare, convert, doctor, render, report
+from .options import STRATEGIES_HELP
 
 app = typer.Typer(
     help="Exact elliptical lights for Mitsuba 3.",
@@ -15,8 +16,9 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-app.command("render")(render.run)
-app.command("compare")(compare.run)
+app.command("render", epilog=STRATEGIES_HELP)(render.run)
+app.command("compare", epilog=STRATEGIES_HELP)(compare.run)
+app.command("convert")(convert.run)
 app.command("report")(report.run)
 app.command("doctor")(doctor.run)
 

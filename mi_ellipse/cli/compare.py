@@ -11,18 +11,23 @@ from rich.console import Console
 
 from .options import (
     DEFAULT_VARIANT,
+    ConvertLamps,
     Definitions,
     Grouping,
     Insets,
+    Integrator,
+    Resolution,
     SceneFile,
     Scheduler,
+    Sensor,
     Variant,
     Workers,
+    parse_changes,
     parse_definitions,
     parse_insets,
     parse_integers,
 )
-from .places import place
+from .places import interruptible, place
 from .process import one_line_errors
 from .progress import step_bars
 from .report import draw
@@ -34,8 +39,9 @@ def run(
         str,
         typer.Option(
             metavar="NAME,…",
-            help="Strategies; all are compared with the first. `NAME+ungrouped` leaves the choice"
-            " of the lamp to Mitsuba.",
+            help="Strategies; all are compared with the first. `ID=NAME+NAME` chooses for the lamp"
+            " of an id and for the others. `NAME+ungrouped` leaves the choice of the lamp to"
+            " Mitsuba. The names stand below.",
         ),
     ],
     spp: Annotated[str, typer.Option(metavar="N,…", help="Samples per pixel.")],
@@ -48,6 +54,10 @@ def run(
     ] = 4,
     variant: Variant = DEFAULT_VARIANT,
     grouping: Grouping = True,
+    convert_lamps: ConvertLamps = False,
+    sensor: Sensor = None,
+    integrator: Integrator = None,
+    resolution: Resolution = None,
     insets: Insets = None,
     scheduler: Scheduler = None,
     workers: Workers = None,
@@ -55,12 +65,13 @@ def run(
 ) -> None:
     """Compare sampling strategies: errors, times, figures and a report to look at."""
     parameters = parse_definitions(definitions)
+    changes = parse_changes(convert_lamps, sensor, integrator, resolution)
     counts = parse_integers("--spp", spp)
     regions = parse_insets(insets)
     strategies = [name.strip() for name in sampling.split(",")]
 
     console = Console(stderr=True)
-    with one_line_errors(), place(scheduler, workers, console) as executor:
+    with one_line_errors(), place(scheduler, workers, console) as executor, interruptible(executor):
         # Not with the other imports: drawing would make every command slow to start.
         from ..study import compare
         from ..study.kinds import ungrouped
@@ -79,8 +90,9 @@ def run(
                 seeds,
                 parameters,
                 progress,
-                console.print,
-                executor=executor,
+                lambda text: console.print(text, markup=False, highlight=False, soft_wrap=True),
+                changes,
+                executor,
             )
         page = draw(comparison, regions, console)
     print(f"{page}, {output / 'results.csv'}, {output / 'results.json'}, {output / 'figures'}")

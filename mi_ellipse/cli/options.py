@@ -7,8 +7,12 @@ from typing import Annotated
 
 import typer
 
-from ..rendering.job import MAX_SEED
+from ..rendering.job import MAX_SEED, Changes
+from ..rendering.rewrite import BUILT_IN
+from ..sampling import STRATEGIES
 
+# Below the options, because a column of the table is too narrow for the longest names
+STRATEGIES_HELP = f"Strategies: {', '.join([*STRATEGIES, BUILT_IN])}. The last is Mitsuba's `area`."
 DEFAULT_VARIANT = "llvm_ad_rgb"
 CLUSTER = "Beyond one process (needs mi_ellipse[cluster])"
 
@@ -37,6 +41,25 @@ Workers = Annotated[
         metavar="N",
         help="Run on N single-threaded processes of this machine.",
         rich_help_panel=CLUSTER,
+    ),
+]
+Sensor = Annotated[
+    str | None,
+    typer.Option(metavar="ID", help="Sensor by its id or its number, from 0."),
+]
+Integrator = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Integrator instead of the scene's: path, prb, volpath, …"),
+]
+Resolution = Annotated[
+    str | None,
+    typer.Option(metavar="WxH", help="Width and height of the film in pixels, such as 640x480."),
+]
+ConvertLamps = Annotated[
+    bool,
+    typer.Option(
+        "--convert-lamps",
+        help="Turn each `area` on a `disk` or `sphere` into an `ellipticalarea`; the file stays.",
     ),
 ]
 Definitions = Annotated[
@@ -71,6 +94,21 @@ def parse_insets(insets: list[str] | None) -> list[tuple[int, int, int, int]] | 
         left, top, width, height = parse_integers("--inset", inset, 4)
         regions.append((left, top, width, height))
     return regions or None
+
+
+def parse_changes(
+    convert_lamps: bool, sensor: str | None, integrator: str | None, resolution: str | None
+) -> Changes:
+    """Return what shall change in the scene."""
+    if resolution is None:
+        return Changes(convert_lamps, sensor, integrator)
+    parts = resolution.lower().split("x")
+    if len(parts) != 2 or not all(part.isascii() and part.isdecimal() for part in parts):
+        raise typer.BadParameter(f"--resolution takes WxH, such as 640x480, not {resolution!r}")
+    try:
+        return Changes(convert_lamps, sensor, integrator, (int(parts[0]), int(parts[1])))
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
 
 
 def parse_integers(option: str, text: str, length: int | None = None) -> list[int]:

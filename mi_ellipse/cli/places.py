@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -15,13 +14,11 @@ if TYPE_CHECKING:
     from ..rendering.cluster import ClusterExecutor
 
 
-@contextmanager
-def place(scheduler: str | None, workers: int | None, console: Console) -> Iterator[JobExecutor]:
+def place(
+    scheduler: str | None, workers: int | None, console: Console
+) -> AbstractContextManager[JobExecutor]:
     """
     Give the executor that the options ask for.
-
-    Ctrl-C ends this process at once where it renders. Elsewhere it is an exception, so that the
-    workers are told.
 
     Raises
     ------
@@ -33,11 +30,17 @@ def place(scheduler: str | None, workers: int | None, console: Console) -> Itera
     if scheduler is not None and workers is not None:
         raise ValueError("--scheduler and --workers exclude each other: choose one of them")
     if scheduler is None and workers is None:
-        with interrupt_ends_process(), LocalExecutor() as local:
-            yield local
-    else:
-        with _cluster(scheduler, workers, console) as cluster:
-            yield cluster
+        return LocalExecutor()
+    return _cluster(scheduler, workers, console)
+
+
+def interruptible(executor: JobExecutor) -> AbstractContextManager[None]:
+    """
+    Let Ctrl-C end the process at once where the process itself renders.
+
+    Elsewhere it stays an exception, so that the workers are told.
+    """
+    return interrupt_ends_process() if isinstance(executor, LocalExecutor) else nullcontext()
 
 
 def _cluster(scheduler: str | None, workers: int | None, console: Console) -> ClusterExecutor:

@@ -62,6 +62,78 @@ class Cone(NamedTuple):
         return dr.fma(self.x, v.x, dr.fma(self.y, v.y, self.z * v.z))
 
 
+class RoundCone(NamedTuple):
+    """The cone of directions that meet a sphere: that of a `Cone` with ``ta = tb``.
+
+    Directions across it are made where they are asked for. Most draws and densities need none.
+    """
+
+    z: mi.Vector3f  # Axis of the cone, towards the light
+    ta2: mi.Float  # Squared tangent of the half-angle
+    inv_ta2: mi.Float  # 1 / ta2
+    sine2: mi.Float  # Squared sine of the half-angle
+
+    @property
+    def tb2(self) -> mi.Float:
+        """Squared tangent of the half-angle."""
+        return self.ta2
+
+    @property
+    def ta(self) -> mi.Float:
+        """Tangent of the half-angle."""
+        return dr.sqrt(self.ta2)
+
+    @property
+    def tb(self) -> mi.Float:
+        """Tangent of the half-angle."""
+        return self.ta
+
+    @property
+    def cosine2(self) -> mi.Float:
+        """Squared cosine of the half-angle."""
+        return self.sine2 * self.inv_ta2
+
+    @property
+    def height(self) -> mi.Float:
+        """One minus the cosine of the half-angle, without cancellation."""
+        return self.sine2 / (mi.Float(1) + dr.sqrt(self.cosine2))
+
+    def across(self) -> tuple[mi.Vector3f, mi.Vector3f]:
+        """Two axes across the cone, any will do.
+
+        T. Duff et al., *Building an Orthonormal Basis, Revisited* (JCGT 2017).
+        """
+        x, y, z = self.z
+        one = mi.Float(1)
+        sign = dr.mulsign(one, z)
+        a = -dr.rcp(sign + z)
+        b = x * y * a
+        return (
+            mi.Vector3f(dr.fma(sign * x * x, a, one), sign * b, -sign * x),
+            mi.Vector3f(b, dr.fma(y * y, a, sign), -y),
+        )
+
+    @property
+    def x(self) -> mi.Vector3f:
+        """Axis across the cone."""
+        return self.across()[0]
+
+    @property
+    def y(self) -> mi.Vector3f:
+        """The other axis across the cone."""
+        return self.across()[1]
+
+    def to_local(self, v: mi.Vector3f) -> mi.Vector3f:
+        """Components along ``(x, y, z)`` of a vector given in the light's frame."""
+        x, y = self.across()
+        return mi.Vector3f(dr.dot(v, x), dr.dot(v, y), dr.dot(v, self.z))
+
+    def from_local(self, v: mi.Vector3f) -> mi.Vector3f:
+        """Light-frame vector from its components along ``(x, y, z)``."""
+        x, y = self.across()
+        return dr.fma(x, v.x, dr.fma(y, v.y, self.z * v.z))
+
+
 def _positive_root(b: mi.Float, p: mi.Float, k: mi.Float) -> mi.Float:
     """Positive root of ``k x² - b x - p = 0`` for ``p ≥ 0``, ``k > 0``."""
     k, p = k + k, p + p
@@ -227,11 +299,14 @@ def of_ellipse(
 
 
 def _minor_axis(y: mi.Vector3f, z: mi.Vector3f, otherwise: mi.Vector3f) -> mi.Vector3f:
-    """Make an axis orthogonal to z. Take another axis where only rounding is left of it."""
+    """Make an axis orthogonal to z. Take another axis where only rounding is left of it.
+
+    It is also rounding if its square is below the normal numbers, which have fewer digits there.
+    """
     size2, overlap = dr.squared_norm(y), dr.dot(y, z)
     left2 = dr.fma(-overlap, overlap, size2)
     y = (y - z * overlap) * dr.rsqrt(left2)
-    return dr.select(left2 > 0.25 * size2, y, otherwise)
+    return dr.select(left2 > dr.fma(0.25, size2, TINY), y, otherwise)
 
 
 class Confocal(NamedTuple):
@@ -348,12 +423,14 @@ def of_ellipsoid(centre: mi.Vector3f, root: mi.Float, ratio: mi.Float, flatness:
     return Cone(cross(y, z), y, z, ta2, tb2, root * inv_mu1)
 
 
-def solid_angle(cone: Cone) -> mi.Float:
+def solid_angle(cone: Cone | RoundCone) -> mi.Float:
     """Solid angle of the cone.
 
     It is ``(4/3) ta tb R_J(0, 1 + ta², 1 + tb², 1)`` (Carlson), here in Bulirsch's form of the
     complete elliptic integral. 6 steps are exact to 6e-7 over half-angle tangents in [1e-6, 1e6].
     """
+    if isinstance(cone, RoundCone):
+        return dr.two_pi * cone.height
     ta, tb = cone.ta, cone.tb
     a = dr.fma(ta, ta, 1)
     kc = dr.sqrt(dr.fma(tb, tb, 1) / a)
@@ -373,7 +450,7 @@ def solid_angle(cone: Cone) -> mi.Float:
     return 4 * (ta * dr.rsqrt(a)) * (tb / a) * cel
 
 
-def vector_irradiance(cone: Cone) -> mi.Vector3f:
+def vector_irradiance(cone: Cone | RoundCone) -> mi.Vector3f:
     """Integral of the direction over the cone, in the frame in which the axes are given.
 
     It is ``π sin α sin β z`` with the half-angles α and β and the axis z: Heitz and Hill,

@@ -8,19 +8,17 @@ from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from . import cone
 from .cone import Cone, Confocal
 from .light import Hit, View, field_values
+from .sphere import LEAST_COSINE2, longitude_and_colatitude
 from .tracing import TINY, cross
 
 # Sweeps of the Jacobi rotations that find the principal axes. They converge cubically: after four
 # the axes are orthogonal to 1e-15, up to ratios of 1e6 under shears.
 SWEEPS = 5
-
-# Least squared cosine at the unit sphere, for densities of its points: that part of the draws is
-# below, and rounding a direction moves it by as much.
-LEAST_COSINE2 = 1e-7
 
 
 class EllipsoidView(View):
@@ -130,6 +128,18 @@ class Ellipsoid(SemiAxes):
         """The flatness in single precision."""
         return mi.Float(self.flatness)
 
+    @property
+    def area(self) -> mi.Float:
+        """Surface area in world units, from values that are known.
+
+        ``4π R_G(a²b², a²c², b²c²)`` with the symmetric elliptic integral of the second kind (B. C.
+        Carlson, *Numerical computation of real or complex elliptic integrals*, 1995).
+        """
+        from scipy.special import elliprg  # Slow to import, and seldom needed
+
+        b, c, a = (np.array(v, dtype=float) for v in (self.ratio, self.flatness, self.lx))
+        return mi.Float(4 * np.pi * a**2 * elliprg(b**2, c**2, (b * c) ** 2))
+
     def light_coordinates(self, reference: mi.Point3f) -> mi.Vector3d:
         """Vector from a world-space point to the centre, along ``(ex, ey, ez)`` in units of lx."""
         offset = (mi.Point3d(self.centre) - mi.Point3d(reference)) * self.inv_lx
@@ -168,7 +178,7 @@ class Ellipsoid(SemiAxes):
         """
         q = mi.Vector3f(mi.warp.square_to_uniform_sphere(u))
         offset = view.centre + self.from_sphere(q)
-        distance = dr.norm(offset)
+        distance = dr.maximum(dr.norm(offset), TINY)  # The view may be at the very point
         d = offset / distance
         on_sphere = self.to_sphere(d)
         cosine = -dr.dot(q, on_sphere)
@@ -209,11 +219,7 @@ class Ellipsoid(SemiAxes):
     def uv(self, q: mi.Vector3f) -> mi.Point2f:
         """Longitude and colatitude of the unit sphere before `to_world`: those of `sphere`."""
         rows = self.parameter_x, self.parameter_y, self.parameter_z
-        x, y, z = (dr.dot(row, q) for row in rows)
-        longitude = dr.atan2(y, x) * dr.inv_two_pi
-        # The arc cosine of z loses the poles
-        colatitude = dr.atan2(dr.sqrt(dr.fma(x, x, y * y)), z) * dr.inv_pi
-        return mi.Point2f(dr.select(longitude < 0, longitude + 1, longitude), colatitude)
+        return longitude_and_colatitude(*(dr.dot(row, q) for row in rows))
 
     # ---- Where a direction meets it ----
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import mitsuba as mi
 
-from .cone import Cone
+from .cone import Cone, RoundCone
 
 
 class Hit(NamedTuple):
@@ -48,7 +48,7 @@ class View(ABC):
 
     @property
     @abstractmethod
-    def cone(self) -> Cone:
+    def cone(self) -> Cone | RoundCone:
         """The cone of directions that meet the light."""
 
     @property
@@ -77,6 +77,10 @@ class Light(Protocol):
     """
 
     planar: ClassVar[bool]  # An ellipse, with principal coordinates; else a solid
+
+    @property
+    def area(self) -> mi.Float:
+        """Surface area in world units: one side of an ellipse, the outside of a solid."""
 
     def stored(self) -> StoredLight:
         """Return what a lamp keeps."""

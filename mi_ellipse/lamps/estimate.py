@@ -18,6 +18,17 @@ from ..geometry.tracing import TINY, table, take
 FAR_SIDE = 0.25
 
 
+def proportions(fields: dict[str, np.ndarray]) -> tuple[float, float, float]:
+    """Longest semi-axis, and the middle and shortest over it, from the fields of a stored light.
+
+    Those of a sphere have only the first, those of an ellipse lack the last, which is 0.
+    """
+    sphere = "ratio" not in fields
+    ratio = 1.0 if sphere else float(fields["ratio"][0])
+    flatness = float(fields["flatness"][0]) if "flatness" in fields else float(sphere)
+    return float(fields["lx"][0]), ratio, flatness
+
+
 @dataclass
 class Outlines:
     """What the estimate needs of many lights, in single precision: ellipses and ellipsoids alike.
@@ -37,12 +48,13 @@ class Outlines:
     @classmethod
     def of(cls, fields: list[dict[str, np.ndarray]]) -> Outlines:
         """Take what is needed from the fields of stored lights."""
-        lx, ratio, ex, ey, centre = (
+        ex, ey, centre = (
             np.array([light[name] for light in fields], dtype=float)
-            for name in ("lx", "ratio", "ex", "ey", "centre")
+            for name in ("ex", "ey", "centre")
         )
-        flatness = np.array([light.get("flatness", [0.0]) for light in fields], dtype=float)
-        lx, ratio, flatness = (values.reshape(-1) for values in (lx, ratio, flatness))
+        lx, ratio, flatness = (
+            np.array(values) for values in zip(*map(proportions, fields), strict=True)
+        )
         return cls(
             centre=table(mi.Point3f, centre.T),
             x=table(mi.Vector3f, ex.T / lx),

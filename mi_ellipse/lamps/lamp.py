@@ -45,25 +45,38 @@ class Lamp:
 
     Parameters
     ----------
-    radiance
-        Emitted radiance.
+    emission
+        Emitted radiance, or the power of the whole lamp.
     sampling
         Name of a strategy.
+    is_power
+        Whether the emission is the power.
     stored
         The light. It is None until the lamp is placed. `dr.freeze` finds it because this class is
         a dataclass.
+    radiance_per_power
+        ``1 / (π area)`` of a placed lamp whose emission is the power.
     """
 
-    radiance: mi.Texture
+    emission: mi.Texture
     sampling: str
+    is_power: bool = False
     stored: StoredLight | None = None
+    radiance_per_power: mi.Float | None = None
 
     def __post_init__(self) -> None:
         self.planar = True  # Until the lamp is placed
         self.follow_radiance()
 
-    def place(self, light: Light) -> None:
+    def place(self, light: Light, area: mi.Float | None = None) -> None:
         """Take the light. The lamp keeps values of its own.
+
+        Parameters
+        ----------
+        light
+            The light.
+        area
+            Its surface area, where the emission is the power. Gradients may follow it.
 
         Raises
         ------
@@ -79,6 +92,10 @@ class Lamp:
         stored = light.stored()
         dr.make_opaque(stored)
         self.stored = stored
+        if area is not None:
+            # A diffuse surface of radiance L sends out π L per area, to one side.
+            self.radiance_per_power = dr.rcp(dr.pi * area)
+            dr.make_opaque(self.radiance_per_power)
         if self.planar != light.planar:
             self.planar = light.planar
             self.follow_radiance()
@@ -86,9 +103,17 @@ class Lamp:
     def follow_radiance(self) -> None:
         """Choose how to draw for the present radiance."""
         self.strategy = find(self.sampling).make()
-        self.follows_texture = self.planar and follows_texture(self.radiance)
+        self.follows_texture = self.planar and follows_texture(self.emission)
         if self.follows_texture:
-            self.strategy = Textured(self.strategy, self.radiance)
+            self.strategy = Textured(self.strategy, self.emission)
+
+    def radiance(self, si: mi.SurfaceInteraction3f, active: mi.Mask) -> mi.UnpolarizedSpectrum:
+        """Emitted radiance at a point of the lamp."""
+        return self.of_emission(self.emission.eval(si, active))
+
+    def of_emission(self, value: mi.UnpolarizedSpectrum) -> mi.UnpolarizedSpectrum:
+        """Radiance for a value of the emission; that itself where it is the radiance."""
+        return value if self.radiance_per_power is None else value * self.radiance_per_power
 
     # ---- Directions ----
 
@@ -115,7 +140,7 @@ class Lamp:
             si = dr.zeros(mi.SurfaceInteraction3f)
             si.p, si.n, si.uv = p, n, uv
             si.wavelengths = it.wavelengths
-        return *drawn, self.radiance.eval(si, pdf > 0) * inv_pdf
+        return *drawn, self.radiance(si, pdf > 0) * inv_pdf
 
     def _density(self, it, d):
         """Density of one trace of the branch."""

@@ -13,6 +13,7 @@ import numpy as np
 from ..geometry.light import StoredLight, field_values
 from ..geometry.tracing import table
 from ..sampling.strategy import Strategy
+from .estimate import proportions
 from .lamp import Lamp
 from .tree import Lights
 
@@ -26,19 +27,19 @@ class Row:
     planar: bool
     brightness: float  # Mean of the radiance
     colour: mi.UnpolarizedSpectrum | None  # Radiance, if it is one colour, and no spectrum
-    values: list[Any]  # The colour's parameters, which derivatives may follow
+    values: list[Any]  # What the colour follows from, which derivatives may follow
 
     @classmethod
     def of(cls, lamp: Lamp) -> Row:
         values = field_values(lamp.stored)
         fields = {name: np.array(value).reshape(-1) for name, value in values.items()}
-        radiance = lamp.radiance
-        if mi.is_spectral or radiance.is_spatially_varying():
-            mean = float(np.array(dr.detach(radiance.mean())).ravel()[0])
+        emission = lamp.emission
+        if mi.is_spectral or emission.is_spatially_varying():
+            mean = float(np.array(dr.detach(lamp.of_emission(emission.mean()))).ravel()[0])
             return cls(lamp.stored, fields, lamp.planar, mean, None, [])
-        colour = radiance.eval(dr.zeros(mi.SurfaceInteraction3f))
+        colour = lamp.radiance(dr.zeros(mi.SurfaceInteraction3f), mi.Mask(True))
         mean = float(np.mean(np.array(dr.detach(colour), dtype=float)))
-        parameters = [value for _, value in mi.traverse(radiance)]
+        parameters = [value for _, value in mi.traverse(emission)] + [lamp.radiance_per_power]
         return cls(lamp.stored, fields, lamp.planar, mean, colour, parameters)
 
 
@@ -82,9 +83,7 @@ def lights(rows: Sequence[Row], power: np.ndarray) -> Lights:
     centre, ex, ey = (
         np.array([row.fields[name] for row in rows], dtype=float) for name in ("centre", "ex", "ey")
     )
-    radius, ratio = (
-        np.array([row.fields[name][0] for row in rows], dtype=float) for name in ("lx", "ratio")
-    )
+    radius, ratio, _ = np.array([proportions(row.fields) for row in rows]).T
     # What a solid shows of itself is about as large as its largest cross section.
     return Lights(
         centre=centre,

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry import ellipse, ellipsoid, mesh
+from ..geometry import ellipse, ellipsoid, mesh, sphere
 from ..geometry.light import Light
 from ..lamps.lamp import Lamp
 from .names import DISK, ELLIPSE, ELLIPSOID, ELLIPTICAL_AREA, SPHERE
@@ -43,7 +43,8 @@ class Attachment:
             sample one like it.
         """
         try:
-            self.lamp.place(_light(shape))
+            light = _light(shape)
+            self.lamp.place(light, _area(shape, light) if self.lamp.is_power else None)
             self._error = None
         except ValueError as error:
             self._error = f"{ELLIPTICAL_AREA}: {error}"
@@ -102,13 +103,22 @@ def _light(shape: mi.Shape | None) -> Light:
     return reader(shape)
 
 
+def _area(shape: mi.Shape, light: Light) -> mi.Float:
+    """Surface area of a light: its value as exact as the light, its gradient that of the shape."""
+    area, followed = light.area, shape.surface_area()
+    return dr.replace_grad(area, followed) if dr.grad_enabled(followed) else area
+
+
 def _of_disk(shape: mi.Shape) -> Light:
     return ellipse.from_transform(dr.detach(_parameter(shape, "to_world")))
 
 
 def _of_sphere(shape: mi.Shape) -> Light:
-    """Ellipsoid with three equal semi-axes; Mitsuba has made the transform a similarity."""
-    light = ellipsoid.from_transform(dr.detach(_parameter(shape, "to_world")))
+    """Sphere; Mitsuba has made the transform a similarity."""
+    matrix = dr.detach(_parameter(shape, "to_world")).matrix
+    # Entry by entry: in one piece, Dr.Jit cannot evaluate them while it traces a render.
+    rows = [[np.array(matrix[i, k]).item() for k in range(4)] for i in range(4)]
+    light = sphere.from_transform(mi.ScalarAffineTransform4d(rows))
     # The transform does not tell what `flip_normals` and mirrors do to the normals.
     it = mi.Interaction3f()
     it.p = mi.Point3f(light.centre) + 2 * light.lx
@@ -127,17 +137,18 @@ def _of_mesh(shape: mi.Mesh) -> Light:
     if shape.has_flipped_normals():
         raise ValueError(_inwards("ellipsoid", "flip_normals"))
     points = np.array(dr.detach(shape.vertex_positions_buffer()), dtype=float).reshape(-1, 3)
-    sphere = mesh.unit_sphere_of(len(points))
-    if sphere is None:
+    unit = mesh.unit_sphere_of(len(points))
+    if unit is None:
         raise ValueError(_misplaced("a mesh that is no ellipsoid of this package"))
-    matrix, missed = _affine_map(sphere.points, points)
+    matrix, missed = _affine_map(unit.points, points)
     if not missed < MESH_ERROR:
         raise ValueError(
             "the vertex_positions of the mesh around the emitter are no affine image of those of "
             f"a sphere: they miss the nearest ellipsoid by {missed:.1g} of its size, and may by "
             f"{MESH_ERROR:g}"
         )
-    return ellipsoid.from_transform(mi.ScalarAffineTransform4d(matrix))
+    kind = sphere if sphere.is_sphere(matrix[:3, :3]) else ellipsoid
+    return kind.from_transform(mi.ScalarAffineTransform4d(matrix))
 
 
 def _affine_map(known: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, float]:

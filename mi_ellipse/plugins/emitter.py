@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from importlib import import_module
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from ..lamps.group import Group
 from ..lamps.lamp import Lamp
@@ -13,7 +15,7 @@ from ..lamps.sharing import Member
 from ..sampling import DEFAULT, STRATEGIES
 from ..system import llvm
 from .attachment import Attachment
-from .names import ELLIPTICAL_AREA
+from .names import ELLIPTICAL_AREA, POWER, RADIANCE
 
 # What Python adds to every class
 NOT_OWN = ("__dict__", "__weakref__")
@@ -31,6 +33,9 @@ class EllipticalArea:
     ----------
     radiance : spectrum or texture
         Emitted radiance. Default 1.
+    power : spectrum
+        Instead of the radiance, what the whole lamp emits: π times its area times the radiance. The
+        area is that of the lamp as it is, also after an update of its transform.
     sampling : str
         Name of a strategy in `mi_ellipse.sampling`. Default ``solid_angle``.
     """
@@ -38,7 +43,7 @@ class EllipticalArea:
     def __init__(self, props: mi.Properties):
         _base(self).__init__(props)
         llvm.check()
-        self.lamp = Lamp(*_parameters(props))
+        self.lamp = _lamp(props)
         self.attachment = Attachment(self.lamp)
         self.group: Group | None = None  # See `grouping`
         self.role: Member | None = None  # In the group
@@ -48,7 +53,8 @@ class EllipticalArea:
 
     def traverse(self, cb: mi.TraversalCallback) -> None:
         _base(self).traverse(cb)
-        cb.put("radiance", self.lamp.radiance, mi.ParamFlags.Differentiable)
+        name = POWER if self.lamp.is_power else RADIANCE
+        cb.put(name, self.lamp.emission, mi.ParamFlags.Differentiable)
 
     def parameters_changed(self, keys: list[str]) -> None:
         _base(self).parameters_changed(keys)
@@ -61,11 +67,15 @@ class EllipticalArea:
 
     def _follow_radiance(self) -> None:
         self.m_flags = mi.EmitterFlags.Surface
-        if self.lamp.radiance.is_spatially_varying():
+        if self.lamp.emission.is_spatially_varying():
             self.m_flags |= mi.EmitterFlags.SpatiallyVarying
 
     def _attached(self) -> bool:
         return self.attachment.ready(self.get_shape)
+
+    def _shines(self) -> bool:
+        """Tell whether the radiance is known: that of a power needs the area of the shape."""
+        return not self.lamp.is_power or self._attached()
 
     # ---- Directions ----
 
@@ -112,7 +122,9 @@ class EllipticalArea:
         return faces
 
     def _radiance(self, si, lit):
-        return mi.depolarizer(dr.select(lit, self.lamp.radiance.eval(si, lit), 0))
+        if not self._shines():
+            return dr.zeros(mi.Spectrum)
+        return mi.depolarizer(dr.select(lit, self.lamp.radiance(si, lit), 0))
 
     # ---- Positions, rays and wavelengths ----
 
@@ -145,12 +157,13 @@ class EllipticalArea:
     def sample_wavelengths(self, si, sample, active=True):
         # There is no wavelength, and no `sample_shifted`, outside the spectral variants.
         shifted = mi.sample_shifted(sample) if mi.is_spectral else mi.Color0f()
-        return self.lamp.radiance.sample_spectrum(si, shifted, active)
+        wavelengths, weight = self.lamp.emission.sample_spectrum(si, shifted, active)
+        return wavelengths, self.lamp.of_emission(weight) if self._shines() else weight * 0
 
     def pdf_wavelengths(self, wavelengths, active=True):
         si = dr.zeros(mi.SurfaceInteraction3f)
         si.wavelengths = wavelengths
-        return self.lamp.radiance.pdf_spectrum(si, active)
+        return self.lamp.emission.pdf_spectrum(si, active)
 
     # ---- Other ----
 
@@ -158,25 +171,49 @@ class EllipticalArea:
         return self.get_shape().bbox()
 
     def to_string(self) -> str:
-        radiance = str(self.lamp.radiance).replace("\n", "\n  ")
-        return f"EllipticalArea[\n  sampling = {self.lamp.sampling},\n  radiance = {radiance}\n]"
+        name = POWER if self.lamp.is_power else RADIANCE
+        emission = str(self.lamp.emission).replace("\n", "\n  ")
+        return f"EllipticalArea[\n  sampling = {self.lamp.sampling},\n  {name} = {emission}\n]"
 
 
-def _parameters(props: mi.Properties) -> tuple[mi.Texture, str]:
-    """Radiance and strategy of an emitter in a scene file."""
+def _lamp(props: mi.Properties) -> Lamp:
+    """Lamp with the emission and the strategy of an emitter in a scene file."""
     if "to_world" in props:
         raise ValueError(
             f"{ELLIPTICAL_AREA}: to_world is not allowed; the emitter takes the transform of its "
             "shape, put it there"
         )
-    radiance = props.get_emissive_texture("radiance", 1.0)
+    is_power = POWER in props
+    if is_power and RADIANCE in props:
+        raise ValueError(
+            f"{ELLIPTICAL_AREA}: {RADIANCE} and {POWER} are both given; leave one of them out, a "
+            "lamp has the radiance power / (π area)"
+        )
+    if is_power:
+        _check_power(props[POWER])
+    emission = props.get_emissive_texture(POWER if is_power else RADIANCE, 1.0)
+    if is_power and emission.is_spatially_varying():
+        raise ValueError(
+            f"{ELLIPTICAL_AREA}: {POWER} must be a number, an RGB colour or a spectrum; a texture "
+            f"says how bright each point is, give it as {RADIANCE}"
+        )
     sampling = props.get("sampling", DEFAULT)
     if sampling not in STRATEGIES:
         raise ValueError(
             f'{ELLIPTICAL_AREA}: sampling="{sampling}" is unknown; choose one of '
             + ", ".join(STRATEGIES)
         )
-    return radiance, sampling
+    return Lamp(emission, sampling, is_power)
+
+
+def _check_power(given: Any) -> None:
+    """Refuse numbers that are no power; an object has parameters of its own."""
+    if isinstance(given, mi.Object):
+        return
+    values = np.ravel(np.array(getattr(given, "values", given), dtype=float))
+    if not (np.isfinite(values).all() and (values >= 0).all()):
+        numbers = ", ".join(f"{value:g}" for value in values)
+        raise ValueError(f"{ELLIPTICAL_AREA}: {POWER}={numbers} must be finite and not negative")
 
 
 def _base(emitter: EllipticalArea) -> mi.Emitter:

@@ -1,4 +1,4 @@
-"""Names of plugins in scene files: those of this package, and those that it takes over."""
+"""Names in scene files: plugins of this package, those that it takes over, and parameters."""
 
 ELLIPSE = "ellipse"
 ELLIPSOID = "ellipsoid"
@@ -7,3 +7,7 @@ ELLIPTICAL_AREA = "ellipticalarea"
 DISK = "disk"
 SPHERE = "sphere"
 AREA = "area"
+
+# How bright an `ellipticalarea` is: one of them
+RADIANCE = "radiance"
+POWER = "power"

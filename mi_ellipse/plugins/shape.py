@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..geometry import mesh
+from ..geometry.sphere import is_sphere
 from ..geometry.tracing import cross
 from .attachment import MESH_ERROR, attach
 from .names import DISK, ELLIPSE, ELLIPSOID, SPHERE
@@ -16,9 +17,6 @@ from .names import DISK, ELLIPSE, ELLIPSOID, SPHERE
 # Volume of the image of the unit cube over the product of its edges: below, double precision cannot
 # tell a transform from a singular one.
 SMALLEST_VOLUME = 1e-14
-
-# Semi-axes that differ by a smaller part are those of a sphere: ten roundings of single precision.
-SPHERICITY = 1e-6
 
 # Edges around the mesh of an ellipsoid. Its 20 480 triangles are inside it by at most 0.03 %.
 SEGMENTS = 160
@@ -40,12 +38,20 @@ def create_ellipse(props: mi.Properties) -> mi.Shape:
     ValueError
         If a semi-axis is not positive and finite, or the transform is not invertible.
     """
-    to_world = _composed(props, ELLIPSE, "xy")
-    disk_props = _without(props, "semi_axis_x", "semi_axis_y")
-    disk = _built_in(DISK, disk_props, to_world)
+    disk_props = as_disk(props)
+    disk = mi.PluginManager.instance().create_object(disk_props)
     _mark_queried(props, disk_props)
     attach(disk)
     return disk
+
+
+def as_disk(props: mi.Properties) -> mi.Properties:
+    """Return the properties of the `disk` that an `ellipse` is; errors as `create_ellipse`."""
+    to_world = _composed(props, ELLIPSE, "xy")
+    disk_props = _without(props, "semi_axis_x", "semi_axis_y")
+    disk_props.set_plugin_name(DISK)
+    disk_props["to_world"] = to_world
+    return disk_props
 
 
 def create_ellipsoid(props: mi.Properties) -> mi.Shape:
@@ -72,8 +78,8 @@ def create_ellipsoid(props: mi.Properties) -> mi.Shape:
     segments = _segments(props)
     rest = _without(props, "semi_axis_x", "semi_axis_y", "semi_axis_z", "segments")
     matrix = np.array(to_world.matrix, dtype=float).reshape(4, 4)
-    left, lengths, right = np.linalg.svd(matrix[:3, :3])
-    if lengths[2] > (1 - SPHERICITY) * lengths[0]:
+    if is_sphere(matrix[:3, :3]):
+        left, lengths, right = np.linalg.svd(matrix[:3, :3])
         similar = np.eye(4)
         similar[:3, :3] = (
             lengths.mean() * left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right

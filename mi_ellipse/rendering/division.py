@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 
 from . import passes
-from .job import Plan, RenderJob
+from .executor import JobExecutor, LocalExecutor
+from .job import RenderJob
 from .passes import Average, Progress, Rendering, Timing
 
 # Of a pass, where passes are jobs: some seconds on a few processor cores. No more is lost when a
@@ -16,12 +17,16 @@ from .passes import Average, Progress, Rendering, Timing
 SAMPLES_PER_PASS = 2**24
 
 
-def with_passes_for_a_cluster(job: RenderJob, plan: Plan) -> RenderJob:
+def with_passes(job: RenderJob, executor: JobExecutor) -> RenderJob:
     """
     Return a job with as many passes as hold some :data:`SAMPLES_PER_PASS` each.
 
-    The number depends on the picture alone, so that all clusters, and this process, give the same.
+    The number depends on the picture alone, so that all clusters give the same one. This process
+    needs no more passes than the job has.
     """
+    if isinstance(executor, LocalExecutor):
+        return job
+    plan = executor.submit(job.plan).result()
     width, height = plan.film_size
     passes = math.ceil(plan.spp * width * height / SAMPLES_PER_PASS)
     return dataclasses.replace(job, passes=passes)

@@ -15,10 +15,12 @@ import mitsuba as mi
 
 from ..plugins.grouping import group_lamps
 from . import passes, provenance
+from .changes import UNCHANGED, Changes
 from .passes import Progress, Rendering, Timing
+from .rewrite import Conversion
 from .scene import ParsedScene, instantiate, parse_scene, under_variant
 
-__all__ = ["Parameters", "Plan", "RenderJob", "Rendering", "Stage", "Timing"]
+__all__ = ["Changes", "Parameters", "Plan", "RenderJob", "Rendering", "Stage", "Timing"]
 
 MAX_SEED = 2**32 - 1
 
@@ -52,6 +54,8 @@ class Plan:
     sizes: tuple[int, ...]  # samples per pixel of each pass
     film_size: tuple[int, int]  # width and height in pixels, of the part that is rendered
     loses_stratification: bool  # the passes are noisier together than a single one
+    conversion: Conversion | None = None  # what became of built-in lamps, where a job converts them
+    sensors: tuple[str, ...] = ()  # of the scene, by id or number
 
     @property
     def spp(self) -> int:
@@ -77,13 +81,15 @@ class RenderJob:
     scene: Path  # XML file
     parameters: Mapping[str, str] = dataclasses.field(default_factory=Parameters)
     variant: str = "llvm_ad_rgb"
-    sampling: str | None = None  # of every `ellipticalarea`; None: as the scene says
+    # Of all lamps, or of single ones, see `rewrite.choose_sampling`; None: as the scene says
+    sampling: str | None = None
     spp: int | None = None  # samples per pixel; None: the scene's own number
     seed: int = 0
     # Render once beforehand, unless a job has done so since the scene was loaded. It compiles the
     # kernel, which is the same for every number of samples.
     warm_up: bool = False
     grouping: bool = True  # Two or more lamps choose among themselves; False: Mitsuba's choice
+    changes: Changes = UNCHANGED  # Of lamps, sensor, integrator and resolution
     passes: int = 1  # at least; more where a pass would hold too many samples
 
     def __post_init__(self) -> None:
@@ -102,7 +108,8 @@ class RenderJob:
             sizes = passes.plan_passes(loaded.scene, self.spp, passes=self.passes)
             width, height = loaded.scene.sensors()[0].film().crop_size()
             loses = passes.loses_stratification(loaded.scene, len(sizes))
-            return Plan(sizes, (int(width), int(height)), loses)
+            size = int(width), int(height)
+            return Plan(sizes, size, loses, loaded.conversion, loaded.sensors)
 
     def run(self, progress: Progress | None = None) -> Rendering:
         """
@@ -140,10 +147,12 @@ class RenderJob:
 class _Loaded:
     """A scene in memory."""
 
-    key: tuple[Path, Mapping[str, str], str, str | None, bool]
+    key: tuple[object, ...]
     stamps: dict[Path, tuple[int, int]]  # time of the last change and size of its files
     digest: str
     scene: mi.Scene
+    conversion: Conversion | None
+    sensors: tuple[str, ...]
     warm_up: Timing | None = None
 
 
@@ -177,7 +186,14 @@ class Stage:
 
     def load(self, job: RenderJob) -> _Loaded:
         """Return the scene of a job, under the variant that is set."""
-        key = (job.scene.resolve(), job.parameters, job.variant, job.sampling, job.grouping)
+        key = (
+            job.scene.resolve(),
+            job.parameters,
+            job.variant,
+            job.sampling,
+            job.grouping,
+            job.changes,
+        )
         loaded = self._loaded
         if loaded is None or loaded.key != key or loaded.stamps != stamps_of(loaded.stamps):
             loaded = None
@@ -185,10 +201,11 @@ class Stage:
             parsed = parse_scene(job.scene, job.parameters)
             stamps = stamps_of(_files(parsed))
             digest = provenance.parsed_digest(parsed)
-            scene = instantiate(parsed, job.sampling)
+            conversion = parsed.conversion() if job.changes.convert_lamps else None
+            scene = instantiate(parsed, job.sampling, job.changes)
             if job.grouping:
                 group_lamps(scene)
-            loaded = _Loaded(key, stamps, digest, scene)
+            loaded = _Loaded(key, stamps, digest, scene, conversion, parsed.sensors())
             self._loaded = loaded
         return loaded
 

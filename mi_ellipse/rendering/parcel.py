@@ -83,7 +83,7 @@ class _Packer:
         self.used: set[str] = set()  # parameters of other things than names of files
         self.renamed: list[str] = []  # new names of the assets, in the order of the scene
         self._values = dict(parameters)
-        self._of_assets = _beside(parsed.path, _mi.file_resolver())
+        self._of_assets: Any = parsed.resolver
         self._names: dict[Path, str] = {}
         for _, file in parsed.named_files():
             if file not in self._names:

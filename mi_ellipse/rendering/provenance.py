@@ -32,6 +32,7 @@ NOT_IN_A_PICTURE = (
     "files/",
     "measures.py",
     "rendering/cluster.py",
+    "rendering/converted_file.py",
     "rendering/executor.py",
     "rendering/parcel.py",
     "rendering/provenance.py",
@@ -92,6 +93,10 @@ def scene_digest(path: str | PathLike[str], parameters: Mapping[str, str] | None
 def parsed_digest(parsed: ParsedScene) -> str:
     """Return the :func:`scene_digest` of a scene that has been parsed."""
     result = hashlib.sha256(mi.parser.write_string(parsed.state).encode())
+    # Mitsuba writes no id that nothing refers to, but a job can name a lamp by it.
+    for index, node in enumerate(parsed.state.nodes):
+        if node.props.id():
+            result.update(f"{index} {node.props.id()}\n".encode())
     for _, file in parsed.named_files():
         result.update(file.read_bytes())
     return result.hexdigest()
@@ -119,7 +124,8 @@ def describe(job: RenderJob, rendering: Rendering) -> dict[str, str]:
     Return the settings that made a picture, as texts for its metadata.
 
     ``sampling`` reads "as in the scene" where the job chose none; ``grouping`` is "yes" or "no",
-    see :func:`yes_or_no`; ``parameters`` is a JSON object;
+    see :func:`yes_or_no`; ``parameters`` is a JSON object; ``convert_lamps``, ``sensor``,
+    ``integrator`` and ``resolution`` tell the job's changes;
     ``scene_digest`` is that of :func:`scene_digest` for the scene that was rendered.
     """
     return {
@@ -131,6 +137,7 @@ def describe(job: RenderJob, rendering: Rendering) -> dict[str, str]:
         "variant": job.variant,
         "sampling": job.sampling or "as in the scene",
         "grouping": yes_or_no(job.grouping),
+        **job.changes.describe(),
         "parameters": json.dumps(dict(job.parameters)),
         **versions(),
         "render_seconds": f"{rendering.seconds:.3f}",

@@ -3,6 +3,7 @@
 # Types such as `mi.Scene` exist only once a variant is set.
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,10 +14,14 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from .. import sampling as strategies
 from ..plugins.names import ELLIPTICAL_AREA
+from . import rewrite
+from .changes import UNCHANGED, Changes, sensor_names
+from .rewrite import Conversion
 
-# Mitsuba's stubs know the functions of the file resolver under another name.
+UNUSED = "unused parameters"  # In Mitsuba's error for values that a scene does not use
+
+# Mitsuba's stubs know the functions of the file resolver and of the log under other names.
 _mi: Any = mi
 
 
@@ -27,6 +32,7 @@ class ParsedScene:
     path: Path
     config: mi.parser.ParserConfig
     state: mi.parser.ParserState
+    resolver: mi.FileResolver  # Knows the scene's folder and what its <path> elements add
 
     @property
     def scene_files(self) -> tuple[Path, ...]:
@@ -44,7 +50,7 @@ class ParsedScene:
         FileNotFoundError
             If one of them does not exist.
         """
-        with _files_found_beside(self.path):
+        with self.files_found():
             found = []
             for node in self.state.nodes:
                 if "filename" in node.props:
@@ -56,11 +62,37 @@ class ParsedScene:
                     found.append((location, file.resolve()))
         return found
 
+    def resolved(self) -> mi.parser.ParserState:
+        """Return a copy with the names of the current version, and with references resolved."""
+        state = mi.parser.ParserState(self.state)
+        mi.parser.transform_upgrade(self.config, state)
+        mi.parser.transform_resolve(self.config, state)
+        return state
+
+    def conversion(self) -> Conversion:
+        """Tell which lamps ``convert_lamps`` converts."""
+        return rewrite.convert_lamps(self.resolved())
+
+    def sensors(self) -> tuple[str, ...]:
+        """Return the ids of the sensors, and numbers for those without."""
+        return tuple(sensor_names(self.resolved()))
+
+    @contextmanager
+    def files_found(self) -> Iterator[None]:
+        """Let relative file names mean what they mean in the scene."""
+        before = _mi.file_resolver()
+        _mi.set_file_resolver(self.resolver)
+        try:
+            yield
+        finally:
+            _mi.set_file_resolver(before)
+
 
 def load_scene(
     path: str | PathLike[str],
     parameters: Mapping[str, str] | None = None,
     sampling: str | None = None,
+    convert_lamps: bool = False,
 ) -> mi.Scene:
     """
     Load an XML scene as ``mi.load_file`` does, and refuse lamps that would give no light.
@@ -68,22 +100,30 @@ def load_scene(
     Parameters
     ----------
     path
-        Scene file.
+        Scene file. It stays as it is.
     parameters
         Values for the scene's ``<default>`` parameters.
     sampling
-        Strategy for every ``ellipticalarea`` of the scene, whatever the scene says; None leaves
-        the scene's choices.
+        Strategy for every ``ellipticalarea`` of the scene, whatever the scene says, or for single
+        ones, see :func:`mi_ellipse.rendering.rewrite.choose_sampling`. None leaves the scene's
+        choices.
+    convert_lamps
+        Turn every ``area`` on a ``disk``, ``sphere``, ``ellipse`` or ``ellipsoid`` into an
+        ``ellipticalarea``, before `sampling` is applied. Mitsuba's log says at level "Info" which.
 
     Raises
     ------
     ValueError
         If an ``ellipticalarea`` belongs to no shape, if `sampling` is unknown, if it is given but
-        the scene has no ``ellipticalarea``, or if the file holds something other than a scene.
+        the scene has no ``ellipticalarea``, if the scene does not use one of `parameters`, or if
+        the file holds something other than a scene.
     RuntimeError
         From Mitsuba, for everything that is wrong with the file itself.
     """
-    return instantiate(parse_scene(path, parameters), sampling)
+    parsed = parse_scene(path, parameters)
+    if convert_lamps:
+        _mi.Log(mi.LogLevel.Info, str(parsed.conversion()))
+    return instantiate(parsed, sampling, Changes(convert_lamps))
 
 
 def parse_scene(
@@ -96,22 +136,51 @@ def parse_scene(
     """
     path = Path(path)
     config = mi.parser.ParserConfig(mi.variant() or "")
-    with _files_found_beside(path):
+    before = _mi.file_resolver()
+    resolver = _mi.FileResolver(before)
+    resolver.prepend(str(path.resolve().parent))
+    _mi.set_file_resolver(resolver)
+    try:
         state = mi.parser.parse_file(config, str(path), **(parameters or {}))
-    return ParsedScene(path.resolve(), config, state)
+    except RuntimeError as error:
+        if UNUSED in str(error):
+            raise ValueError(_unknown_parameters(path, parameters or {})) from None
+        raise
+    finally:
+        _mi.set_file_resolver(before)
+    return ParsedScene(path.resolve(), config, state, resolver)
 
 
-def instantiate(parsed: ParsedScene, sampling: str | None = None) -> mi.Scene:
+def _unknown_parameters(path: Path, parameters: Mapping[str, str]) -> str:
+    """Return the error for values of parameters that a scene does not use."""
+    config = mi.parser.ParserConfig(mi.variant() or "")
+    config.unused_parameters = mi.LogLevel.Debug
+    state = mi.parser.parse_file(config, str(path), **parameters)
+    known: dict[str, None] = {}  # In the order of the files
+    for file in state.files:
+        text = re.sub(r"<!--.*?-->", "", Path(str(file)).read_text("utf-8", "replace"), flags=re.S)
+        known |= dict.fromkeys(re.findall(r"(?<!\\)\$(\w+)", text))
+    unknown = ", ".join(
+        f"{name}={value}" for name, value in parameters.items() if name not in known
+    )
+    names = f"known are: {', '.join(known)}" if known else "it has none"
+    return f"{path}: the scene has no parameter for {unknown}; {names}"
+
+
+def instantiate(
+    parsed: ParsedScene, sampling: str | None = None, changes: Changes = UNCHANGED
+) -> mi.Scene:
     """
-    Load a scene that has been parsed; `sampling` and errors are those of :func:`load_scene`.
+    Load a scene that has been parsed, changed; errors are those of :func:`load_scene`.
 
     What was parsed stays as it is and can be loaded again.
     """
-    state = mi.parser.ParserState(parsed.state)
-    with _files_found_beside(parsed.path):
-        _refuse_detached_lamps(parsed.config, state)
+    with parsed.files_found():
+        state = parsed.resolved()
+        _refuse_detached_lamps(state)
+        changes.apply(state)
         if sampling is not None:
-            _choose_sampling(state, sampling)
+            rewrite.choose_sampling(state, sampling)
         mi.parser.transform_all(parsed.config, state)
         with _one_thread():
             scene = mi.parser.instantiate(parsed.config, state)
@@ -120,46 +189,18 @@ def instantiate(parsed: ParsedScene, sampling: str | None = None) -> mi.Scene:
     return scene
 
 
-def _lamps(state: mi.parser.ParserState) -> list[int]:
-    return [i for i, node in enumerate(state.nodes) if node.props.plugin_name() == ELLIPTICAL_AREA]
-
-
-def _choose_sampling(state: mi.parser.ParserState, sampling: str) -> None:
-    """Write the strategy into every lamp of a parsed scene."""
-    strategies.find(sampling)
-    lamps = _lamps(state)
-    if not lamps:
-        raise ValueError(
-            f'a sampling strategy ("{sampling}") is given, but the scene has no "{ELLIPTICAL_AREA}"'
-        )
-    for lamp in lamps:
-        state.nodes[lamp].props["sampling"] = sampling
-
-
-def _refuse_detached_lamps(config: mi.parser.ParserConfig, state: mi.parser.ParserState) -> None:
+def _refuse_detached_lamps(state: mi.parser.ParserState) -> None:
     """
     Raise an error for a lamp outside every shape, which Mitsuba would ignore without a word.
 
-    The parsed tree shows it, included files and references considered, while the finished scene
-    no longer knows of such a lamp.
+    The resolved tree shows it, while the finished scene no longer knows of such a lamp.
     """
-    resolved = mi.parser.ParserState(state)
-    mi.parser.transform_upgrade(config, resolved)
-    mi.parser.transform_resolve(config, resolved)
-
-    attached = {
-        value.index()
-        for node in resolved.nodes
-        if node.type == mi.ObjectType.Shape
-        for _, value in node.props.items()
-        if isinstance(value, mi.Properties.ResolvedReference)
-    }
-    for lamp in _lamps(resolved):
-        if lamp not in attached:
-            location = mi.parser.file_location(resolved, resolved.nodes[lamp])
+    attached = {pair.index for pair in rewrite.pairs(state)}
+    for index, node in enumerate(state.nodes):
+        if node.props.plugin_name() == ELLIPTICAL_AREA and index not in attached:
             raise ValueError(
-                f'{location}: this "{ELLIPTICAL_AREA}" belongs to no shape and would give no light;'
-                " put it inside the <shape> that shall shine"
+                f'{mi.parser.file_location(state, node)}: this "{ELLIPTICAL_AREA}" belongs to no'
+                " shape and would give no light; put it inside the <shape> that shall shine"
             )
 
 
@@ -189,16 +230,3 @@ def _one_thread() -> Iterator[None]:
         yield
     finally:
         dr.set_thread_count(threads)
-
-
-@contextmanager
-def _files_found_beside(path: Path) -> Iterator[None]:
-    """Let relative file names of a scene start at its folder, as ``mi.load_file`` does."""
-    before = _mi.file_resolver()
-    extended = mi.FileResolver(before)
-    extended.prepend(str(path.resolve().parent))
-    _mi.set_file_resolver(extended)
-    try:
-        yield
-    finally:
-        _mi.set_file_resolver(before)

@@ -9,8 +9,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..geometry import cone
+from ..geometry.cone import RoundCone
 from ..geometry.light import View
-from . import solid_angle
+from . import cap, solid_angle
 from .strategy import register
 
 # Steps of Newton's method after the shifted κ map, and nodes of the Gauss-Legendre rule that
@@ -81,24 +82,32 @@ class Concentric:
     """Directions uniform in solid angle: the concentric square-disk map, then the radial map.
 
     Guillén, Ureña, King, Fajardo, Georgiev, López-Moreno and Jarabo, *Area-Preserving
-    Parameterizations for Spherical Ellipses* (EGSR 2017).
+    Parameterizations for Spherical Ellipses* (EGSR 2017). On a sphere the radial map is Lambert's.
     """
 
-    def prepare(self, view: View, normal: mi.Normal3f) -> Record:
+    def prepare(self, view: View, normal: mi.Normal3f) -> Record | RoundCone:
         """Compute cone and solid angle of a reference point. Its normal is not used."""
-        seen = solid_angle.SolidAngle().prepare(view, normal)
+        if isinstance(view.cone, RoundCone):
+            return view.cone
+        seen = solid_angle.SolidAngle().record(view.cone)
         return Record(
             map=seen,
             quadrant=_cumulative(seen, mi.Float(0.5 * dr.pi)),
             pdf=dr.rcp(cone.solid_angle(seen.cone)),
         )
 
-    def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
+    def sample(
+        self, record: Record | RoundCone, u: mi.Point2f
+    ) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
         """Direction along the light's frame, its density, and validity."""
         p = mi.warp.square_to_uniform_disk_concentric(u)
+        if isinstance(record, RoundCone):
+            return cap.uniform(record, p), cap.uniform_density(record), mi.Mask(True)
         d = radial_map(record, p.x, p.y, dr.squared_norm(p))
         return record.map.cone.from_local(d), record.pdf, mi.Mask(True)
 
-    def pdf(self, record: Record, direction: mi.Vector3f) -> mi.Float:
+    def pdf(self, record: Record | RoundCone, direction: mi.Vector3f) -> mi.Float:
         """Density of a direction that meets the light."""
+        if isinstance(record, RoundCone):
+            return cap.uniform_density(record)
         return record.pdf

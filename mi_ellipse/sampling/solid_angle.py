@@ -7,8 +7,9 @@ from typing import NamedTuple
 import drjit as dr
 import mitsuba as mi
 
-from ..geometry.cone import Cone
+from ..geometry.cone import Cone, RoundCone
 from ..geometry.light import View
+from . import cap
 from .strategy import register
 
 # Sine and cosine of the quarter angle, as polynomials of its fraction and of the square of the
@@ -33,6 +34,13 @@ class Record(NamedTuple):
     kb: mi.Float  # (sin(β/2) / tb)²
     inv_kappa: mi.Float  # Strength of the angular warp; 1 for circles
     rho: mi.Float  # Where along the quadrant the warp acts
+
+
+def on_disk(u: mi.Point2f) -> mi.Point2f:
+    """Uniform point of the unit disk: the azimuth from the first number, from `_azimuth`."""
+    c, s = _azimuth(u.x)
+    r = dr.sqrt(u.y)
+    return mi.Point2f(c * r, s * r)
 
 
 def _azimuth(u: mi.Float) -> tuple[mi.Float, mi.Float]:
@@ -155,12 +163,13 @@ class SolidAngle:
 
     The azimuth runs with the eccentric angle of an ellipse, corrected by one closed-form warp. The
     semi-axes of this ellipse are the sines of half the half-angles. Along the radius ``1 - cos θ``
-    is uniform. So the density depends on the azimuth alone.
+    is uniform. So the density depends on the azimuth alone. On a sphere it is constant.
     """
 
-    def prepare(self, view: View, normal: mi.Normal3f) -> Record:
+    def prepare(self, view: View, normal: mi.Normal3f) -> Record | RoundCone:
         """Compute cone and warp of a reference point. Its normal is not used."""
-        return self.record(view.cone)
+        seen = view.cone
+        return seen if isinstance(seen, RoundCone) else self.record(seen)
 
     def record(self, seen: Cone) -> Record:
         """Warp of a cone."""
@@ -183,13 +192,19 @@ class SolidAngle:
             rho=rho,
         )
 
-    def sample(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
+    def sample(
+        self, record: Record | RoundCone, u: mi.Point2f
+    ) -> tuple[mi.Vector3f, mi.Float, mi.Mask]:
         """Direction along the light's frame, its density, and validity."""
+        if isinstance(record, RoundCone):
+            return cap.uniform(record, on_disk(u)), cap.uniform_density(record), mi.Mask(True)
         d, pdf = self.sample_local(record, u)
         return record.cone.from_local(d), pdf, mi.Mask(True)
 
-    def pdf(self, record: Record, direction: mi.Vector3f) -> mi.Float:
+    def pdf(self, record: Record | RoundCone, direction: mi.Vector3f) -> mi.Float:
         """Density of a direction that meets the light."""
+        if isinstance(record, RoundCone):
+            return cap.uniform_density(record)
         return self.pdf_local(record, record.cone.to_local(direction))
 
     def sample_local(self, record: Record, u: mi.Point2f) -> tuple[mi.Vector3f, mi.Float]:

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..geometry import cone
-from ..geometry.cone import Cone
+from ..geometry.cone import Cone, RoundCone
 from ..geometry.light import View
 from .strategy import register
 
@@ -20,7 +20,7 @@ MINIMUM_COSINE = 1e-6
 class Record(NamedTuple):
     """What is computed once per reference point."""
 
-    cone: Cone
+    cone: Cone | RoundCone
     height: mi.Float  # 1 - cos of the half-angle of the cap
     radius: mi.Float  # Tangent of that half-angle
 

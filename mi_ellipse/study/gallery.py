@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from urllib.parse import quote
 
 import mitsuba as mi
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from ..files import images
 from ..files.images import Image
 from ..rendering import provenance
+from ..rendering.changes import UNCHANGED, Changes
 from ..rendering.executor import JobExecutor, LocalExecutor
 from ..rendering.job import Rendering, RenderJob, Timing
 from .kinds import split
@@ -29,7 +31,8 @@ class Task:
 
     @property
     def name(self) -> str:
-        return f"{self.sampling}_{self.spp}spp_seed{self.seed}"
+        """Name of its file; the id of a lamp can hold characters that no file name may."""
+        return f"{quote(self.sampling, safe='+=')}_{self.spp}spp_seed{self.seed}"
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,7 @@ class Gallery:
         folder: Path,
         scene_file: Path,
         parameters: Mapping[str, str],
+        changes: Changes = UNCHANGED,
         executor: JobExecutor | None = None,  # by default one in this process
     ):
         self._executor = executor
@@ -64,7 +68,8 @@ class Gallery:
         self.folder = folder
         self.scene_file = scene_file
         self.parameters = dict(parameters)
-        self._settings = settings(scene_file, parameters)
+        self.changes = changes
+        self._settings = settings(scene_file, parameters, changes)
         self._settings |= {
             "picture_digest": provenance.picture_digest(),
             "machine": self.machine,
@@ -127,6 +132,7 @@ class Gallery:
             task.seed,
             warm_up=True,
             grouping=grouping,
+            changes=self.changes,
         )
 
     def _file(self, task: Task) -> Path:
@@ -141,11 +147,14 @@ def variant() -> str:
     return str(current)
 
 
-def settings(scene_file: Path, parameters: Mapping[str, str]) -> dict[str, str]:
+def settings(
+    scene_file: Path, parameters: Mapping[str, str], changes: Changes = UNCHANGED
+) -> dict[str, str]:
     """Return what two pictures of a scene must have in common to be compared."""
     return {
         "scene_digest": provenance.scene_digest(scene_file, parameters),
         "variant": variant(),
+        **changes.describe(),
         **provenance.versions(),
     }
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..files import atomic, images
 from ..files.images import Image
+from ..rendering.changes import UNCHANGED, Changes
 from ..rendering.division import SAMPLES_PER_PASS
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import RenderJob
@@ -96,6 +97,7 @@ def render_reference(
     samples_per_pass: int = SAMPLES_PER_PASS,
     executor: Executor | None = None,
     album: Album | None = None,
+    changes: Changes = UNCHANGED,
 ) -> Reference:
     """
     Render the reference of a scene, or what is missing of it, as the scene's integrator says.
@@ -119,6 +121,8 @@ def render_reference(
         Where the passes are rendered; by default in this process. Sums do not depend on it.
     album
         Takes the reference, so that it is not read again.
+    changes
+        Of the scene, see `RenderJob`.
 
     Raises
     ------
@@ -126,7 +130,7 @@ def render_reference(
         If the folder holds a reference with other settings, or a pass has invalid pixels.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    shared = settings(scene_file, parameters)
+    shared = settings(scene_file, parameters, changes)
     halves = [
         _Half.open(folder / f"half_{i}.npz", shared | {"seed": f"{SEED}, {i}"}) for i in (1, 2)
     ]
@@ -138,7 +142,7 @@ def render_reference(
         if done:
             say(f"Reference: continued from {done} of {2 * target} spp")
         progress(done, 2 * target)
-        job = RenderJob(scene_file, parameters, variant())
+        job = RenderJob(scene_file, parameters, variant(), changes=changes)
         with LocalExecutor() as local:
             where = executor or local
             passes = list(_plan(halves, job, target, samples_per_pass, where))

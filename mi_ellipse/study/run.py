@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from ..files import images
+from ..rendering.changes import UNCHANGED, Changes
 from ..rendering.executor import JobExecutor
-from ..sampling import find
+from ..rendering.rewrite import check_choice
+from ..rendering.scene import parse_scene
 from . import results
 from .album import Album
 from .gallery import Gallery, Task, settings
@@ -33,6 +35,7 @@ def compare(
     parameters: Mapping[str, str] | None = None,
     progress: Progress = lambda step, done, total: None,
     say: Callable[[str], None] = print,
+    changes: Changes = UNCHANGED,
     executor: JobExecutor | None = None,
 ) -> Comparison:
     """
@@ -49,8 +52,9 @@ def compare(
         Output folder, made if needed.
     strategies
         Names for every ``ellipticalarea`` of the scene. The others are compared with the first.
-        Lamps choose among themselves, unless ``+ungrouped`` follows the name. The reference does
-        not depend on it.
+        Lamps choose among themselves, unless ``+ungrouped`` follows the name. ``built-in`` is
+        Mitsuba's own `area`, and ``ceiling=area+solid_angle`` chooses for the lamp of the id
+        "ceiling" and for all others. The reference does not depend on it.
     spp
         Samples per pixel. At equal time, each strategy takes as many as take the time that the
         first strategy needs for these.
@@ -62,6 +66,8 @@ def compare(
         Values for the scene's ``<default>`` parameters.
     progress, say
         Called with the progress of a step, and with sentences for the user.
+    changes
+        Of the scene, for all pictures and the reference.
     executor
         Where pictures and reference are rendered; by default in this process. Pictures are timed,
         so they are rendered alone on one machine; only the reference is spread.
@@ -75,9 +81,11 @@ def compare(
     scene_file, folder, parameters = Path(scene_file), Path(folder), dict(parameters or {})
     strategies, spp = tuple(dict.fromkeys(strategies)), tuple(sorted(set(spp)))
     _check(strategies, spp)
+    if changes.convert_lamps:
+        say(f"{parse_scene(scene_file, parameters).conversion()}")
 
     # Pictures come first: they show within seconds whether the scene renders at all.
-    gallery = Gallery(folder / "pictures", scene_file, parameters, executor)
+    gallery = Gallery(folder / "pictures", scene_file, parameters, changes, executor)
     grid = [(name, count) for name in strategies for count in spp]
     pictures = _fill(gallery, grid, seeds, EQUAL_SAMPLES, progress, say)
     matches = _match_times(strategies, spp, pictures)
@@ -94,6 +102,7 @@ def compare(
         say,
         executor=executor,
         album=album,
+        changes=changes,
     )
     values = measure(folder, pictures, reference, album, progress)
     measurements: list[Measurement] = []
@@ -104,7 +113,7 @@ def compare(
         keys = [matches[name, count] for name in strategies]
         measurements += summarize(EQUAL_TIME, keys, pictures, values)
 
-    about = settings(scene_file, parameters)
+    about = settings(scene_file, parameters, changes)
     comparison = Comparison(
         scene_file, parameters, folder, strategies, spp, seeds, about, gallery.machine, reference,
         tuple(measurements), album,
@@ -137,7 +146,7 @@ def match_samples(seconds: float, spp: Sequence[int], measured: Sequence[float])
 
 def _check(strategies: Sequence[str], spp: Sequence[int]) -> None:
     for name in strategies:
-        find(split(name)[0])
+        check_choice(split(name)[0])
     if not strategies or not spp or min(spp) < 1:
         raise ValueError("a comparison needs a strategy and numbers of samples of at least 1")
 

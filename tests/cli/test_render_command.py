@@ -13,11 +13,13 @@ import mi_ellipse
 import mitsuba as mi
 import numpy as np
 import pytest
-from commands import HEIGHT, LAMP, WIDTH, files, invoke, read, samples, write_scene
+from commands import HEIGHT, LAMP, SCENE, WIDTH, files, invoke, read, samples, write_scene
 from mi_ellipse.rendering import job, passes, provenance
 from mi_ellipse.rendering.provenance import scene_digest
 from mi_ellipse.rendering.scene import load_scene
 from mi_ellipse.sampling import STRATEGIES
+
+STRATEGY = '<string name="sampling" value="$sampling"/>'
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 
@@ -55,6 +57,7 @@ def test_render_writes_a_picture_with_the_settings_that_made_it(scene_file):
         "sampling": "solid_angle",
         "grouping": "yes",
         "machine": provenance.machine(),
+        "convert_lamps": "no",
         "mi_ellipse_version": mi_ellipse.__version__,
         "mitsuba_version": mi.__version__,
         "drjit_version": dr.__version__,
@@ -161,7 +164,15 @@ def assert_fails_in_one_line(result, *words):
     [
         (["--variant", "llvm_rgb"], ["unsupported variant", "llvm_rgb", "llvm_ad_rgb"]),
         (["--sampling", "nonsense"], ["nonsense", *STRATEGIES]),
-        (["-D", "width=3"], ["unused", "$width=3"]),
+        (
+            ["-D", "width=3", "-D", "sampler=independent"],
+            ["no parameter for width=3;", "known are: sampler, pixel_format, sampling"],
+        ),
+        (["--sensor", "left"], ['sensor="left"', "numbers 0 to 0"]),
+        (["--sensor", "1"], ['sensor="1"', "numbers 0 to 0"]),
+        (["--integrator", "nonsense"], ['integrator="nonsense"', "path", "prb"]),
+        (["--integrator", "disk"], ['integrator="disk"', "path", "prb"]),
+        (["--integrator", "aov"], ['integrator="aov"', "the scene must describe it"]),
         (["-o", "nowhere/out.exr"], ["cannot write nowhere/out.exr"]),
         (["-o", "folder.exr"], ["cannot write folder.exr", "folder"]),
         (["-o", "blocked.exr"], ["cannot write blocked.png"]),
@@ -344,7 +355,8 @@ def test_interrupt_during_a_pass_ends_the_process_at_once(scene_file):
     assert (scene_file.parent / "scene.exr").read_text() == "earlier"
 
 
-def test_grouping_can_be_left_to_mitsuba(tmp_path):
+def test_grouping_can_be_left_to_mitsuba(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     far = LAMP.replace('<translate z="2"/>', '<scale value="0.2"/><translate x="2" z="3"/>')
     file = write_scene(tmp_path / "two.xml", LAMP + far)
     for name, options in (("grouped", []), ("plain", ["--no-grouping"])):
@@ -355,3 +367,126 @@ def test_grouping_can_be_left_to_mitsuba(tmp_path):
     expected = mi.render(mi.load_file(str(file)), spp=16, seed=0).numpy()
     np.testing.assert_allclose(read("plain.exr"), expected, rtol=1e-5)
     assert not np.allclose(read("grouped.exr"), expected, rtol=1e-3)
+
+
+# ---- Sensor, integrator and resolution ----
+
+SENSOR = """
+<sensor type="perspective" {}>
+    <transform name="to_world"><lookat origin="0,{},3" target="0,0,0" up="0,0,1"/></transform>
+    <film type="hdrfilm"><integer name="width" value="6"/><integer name="height" value="5"/></film>
+</sensor>
+"""
+
+
+@pytest.fixture
+def three_sensors(scene_file):
+    """The scene with two more sensors, the last with an id that no file name may have."""
+    return write_scene(scene_file, LAMP + SENSOR.format("", 3) + SENSOR.format('id="a/b"', 2))
+
+
+def rendered(file, sensor):
+    return mi.render(mi.load_file(str(file)), sensor=sensor, spp=4, seed=0).numpy()
+
+
+def test_a_sensor_by_number_or_id(three_sensors):
+    for name, number in (("1", 1), ("a/b", 2), ("2", 2)):
+        result = invoke("render", three_sensors, "--sensor", name, "--spp", 4)
+        assert result.exit_code == 0, result.output
+        assert "sensors" not in result.stderr
+        np.testing.assert_allclose(read("scene.exr"), rendered(three_sensors, number), rtol=1e-5)
+        assert mi.Bitmap("scene.exr").metadata()["sensor"] == name
+
+
+def test_the_first_of_several_sensors_is_announced(three_sensors):
+    result = invoke("render", three_sensors, "--spp", 4)
+    assert "3 sensors (0, 1, a/b)" in result.stderr
+    np.testing.assert_allclose(read("scene.exr"), rendered(three_sensors, 0), rtol=1e-5)
+
+
+def test_all_sensors(three_sensors):
+    result = invoke("render", three_sensors, "--sensor", "all", "--spp", 4, "-o", "out.exr")
+    assert result.exit_code == 0, result.output
+    for name, number in (("0", 0), ("1", 1), ("a%2Fb", 2)):
+        expected = rendered(three_sensors, number)
+        np.testing.assert_allclose(read(f"out_{name}.exr"), expected, rtol=1e-5)
+    assert files(three_sensors.parent) == sorted(
+        [f"out_{name}.{kind}" for name in ("0", "1", "a%2Fb") for kind in ("exr", "png")]
+        + ["scene.xml"]
+    )
+
+
+@pytest.mark.parametrize("integrator", ["prb", "direct", "volpath"])
+def test_integrator_with_the_depth_of_the_scene(scene_file, integrator):
+    """The scene says 2 bounces at most. `direct` knows no depth, which is no error."""
+    result = invoke("render", scene_file, "--integrator", integrator)
+    assert result.exit_code == 0, result.output
+    depth = {} if integrator == "direct" else {"max_depth": 2}
+    wanted = mi.load_dict({"type": integrator} | depth)
+    expected = mi.render(mi.load_file(str(scene_file)), integrator=wanted, spp=4, seed=0).numpy()
+    np.testing.assert_allclose(read("scene.exr"), expected, rtol=1e-5)
+    assert mi.Bitmap("scene.exr").metadata()["integrator"] == integrator
+
+
+def test_a_scene_without_integrator_or_film_gets_them(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.xml").write_text(
+        '<scene version="3.0.0"><sensor type="perspective"/><shape type="disk">'
+        '<emitter type="area"/></shape></scene>'
+    )
+    result = invoke("render", "scene.xml", "--integrator", "depth", "--resolution", "7x3")
+    assert result.exit_code == 0, result.output
+    assert read("scene.exr").shape == (3, 7, 3)
+
+
+def test_resolution(scene_file):
+    assert invoke("render", scene_file, "--resolution", "9x7").exit_code == 0
+    text = scene_file.read_text().replace(f'"{WIDTH}"', '"9"').replace(f'"{HEIGHT}"', '"7"')
+    expected = mi.render(mi.load_string(text), spp=4, seed=0).numpy()
+    assert expected.shape == (7, 9, 3)
+    np.testing.assert_allclose(read("scene.exr"), expected, rtol=1e-5)
+    assert mi.Bitmap("scene.exr").metadata()["resolution"] == "9x7"
+
+
+@pytest.mark.parametrize("text", ["9", "9x", "axb", "0x5", "70000x2", "9x7x3", "-1x4"])
+def test_impossible_resolutions(scene_file, text):
+    result = invoke("render", scene_file, f"--resolution={text}")
+    assert result.exit_code == 2
+    assert "640x480" in result.stderr or "from 1 to 65536" in result.stderr
+
+
+def test_resolution_of_a_part_of_the_picture_is_refused(scene_file):
+    crop = '<integer name="crop_width" value="4"/><integer name="crop_height" value="3"/>'
+    scene_file.write_text(scene_file.read_text().replace("</film>", crop + "</film>"))
+    result = invoke("render", scene_file, "--resolution", "9x7")
+    assert_fails_in_one_line(result, "resolution=9x7", "crop_width, crop_height")
+
+
+@pytest.mark.parametrize("command", ["render", "compare"])
+def test_help_names_the_strategies(command):
+    text = " ".join(invoke(command, "--help").output.replace("│", " ").split())
+    assert all(name in text for name in [*STRATEGIES, "built-in"])
+
+
+# ---- Lamps of an existing scene ----
+
+
+def test_built_in_lamps_are_converted_on_the_way_in(scene_file):
+    text = SCENE.format(lamps=LAMP).replace('"disk"', '"disk" id="ceiling"')
+    scene_file.write_text(text.replace("ellipticalarea", "area").replace(STRATEGY, ""))
+    result = invoke("render", scene_file, "--convert-lamps", "--sampling", "ceiling=area")
+    assert result.exit_code == 0, result.output
+    assert '1 lamp converted to "ellipticalarea": ceiling\n' in result.stderr
+    metadata = mi.Bitmap("scene.exr").metadata()
+    assert (metadata["convert_lamps"], metadata["sampling"]) == ("yes", "ceiling=area")
+    written = scene_file.with_name("written.xml")
+    written.write_text(text)
+    expected = mi.render(mi.load_file(str(written), sampling="area"), spp=4, seed=0).numpy()
+    np.testing.assert_allclose(read("scene.exr"), expected, rtol=1e-5)
+
+
+def test_built_in_is_a_choice(scene_file):
+    assert invoke("render", scene_file, "--sampling", "built-in").exit_code == 0
+    text = scene_file.read_text().replace("ellipticalarea", "area").replace(STRATEGY, "")
+    expected = mi.render(mi.load_string(text), spp=4, seed=0).numpy()
+    np.testing.assert_allclose(read("scene.exr"), expected, rtol=1e-5)

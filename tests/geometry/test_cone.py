@@ -208,6 +208,16 @@ def test_cone_holds_the_light_and_touches_its_rim(turn, radius, point, ratio):
     assert abs(on - 1) < tolerance[1]
 
 
+def test_frame_of_a_light_almost_on_its_axis():
+    """The minor axis has length 1 where the squares of its parts leave the normal numbers."""
+    off = 10.0 ** -np.arange(15, 30)
+    u, w = np.tile([1.0, 0, 0], (15, 1)), np.tile([0, 0.1, 0], (15, 1))
+    seen = ellipses(u, w, np.zeros((15, 3)))
+    points = np.stack([np.zeros(15), off, np.ones(15)])
+    y = rows(seen.seen_from(mi.Point3f(points)).cone.y)
+    np.testing.assert_allclose(np.linalg.norm(y, axis=1), 1, rtol=1e-6)
+
+
 # ---- Vector irradiance ----
 
 

@@ -3,7 +3,7 @@
 import mitsuba as mi
 import numpy as np
 import pytest
-from mi_ellipse.geometry import ellipse, ellipsoid
+from mi_ellipse.geometry import ellipse, ellipsoid, sphere
 from mi_ellipse.geometry.light import field_values
 from mi_ellipse.lamps import estimate
 
@@ -92,12 +92,13 @@ def solid_sides(axes, centre, normal):
     return 4 * np.mean(np.maximum(cosine, 0) * seen), 4 * np.mean(np.maximum(-cosine, 0) * seen)
 
 
-def test_estimate_of_ellipsoids():
+@pytest.mark.parametrize("kind", ["ellipsoid", "sphere"])
+def test_estimate_of_solids(kind):
     """Points from 0.2 to 10 sizes away, half-angles up to 55°: 1 % where the horizon is clear."""
     rng = np.random.default_rng(4)
     divided, whole = [], []
     for _ in range(150):
-        axes = np.sort(rng.uniform(0.1, 1, 3))[::-1]
+        axes = np.sort(rng.uniform(0.1, 1, 3))[::-1] if kind == "ellipsoid" else np.full(3, 0.5)
         direction = rng.normal(size=3)
         direction /= np.linalg.norm(direction)
         # On the surface of the ellipsoid that is larger by a factor
@@ -105,7 +106,8 @@ def test_estimate_of_ellipsoids():
         normal = rng.normal(size=3)
         normal /= np.linalg.norm(normal)
         near, far = solid_sides(axes, centre, normal)
-        light = ellipsoid.from_transform(mi.ScalarTransform4f().translate(centre).scale(axes))
+        make = {"ellipsoid": ellipsoid, "sphere": sphere}[kind].from_transform
+        light = make(mi.ScalarTransform4f().translate(centre).scale(axes))
         ratio = guess(light, [0, 0, 0], normal) / (near + estimate.FAR_SIDE * far)
         (divided if min(near, far) > 0 else whole).append(ratio)
     assert min(len(divided), len(whole)) > 20

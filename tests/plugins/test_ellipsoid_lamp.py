@@ -1,5 +1,6 @@
 """The shape `ellipsoid`, and `ellipticalarea` in a `sphere`, against Mitsuba's shapes + `area`."""
 
+import gc
 from functools import cache
 
 import drjit as dr
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 from conftest import floor_and, lamp
 from mi_ellipse.geometry import ellipsoid
+from mi_ellipse.geometry.ellipsoid import StoredEllipsoid
+from mi_ellipse.geometry.sphere import StoredSphere
 from mi_ellipse.sampling import STRATEGIES
 from mi_ellipse.system.messages import innermost_cause
 
@@ -240,6 +243,37 @@ def test_positions_and_rays_of_the_emitter():
     assert got.mean() == pytest.approx(expected.mean(), rel=0.03)
 
 
+# ---- Spheres have a light of their own ----
+
+
+@jit
+def test_light_of_a_sphere():
+    """Decided when the lamp is loaded: a plain sphere, and an ellipsoid of equal semi-axes."""
+    for own, kind in (
+        (lamp(BALL, "solid_angle", shape="sphere"), StoredSphere),
+        (bulb(BALL), StoredSphere),
+        (bulb(np.diag([2.0, 4, 1, 1]), semi_axis_x=0.5, semi_axis_y=0.25), StoredSphere),
+        (bulb(BULB), StoredEllipsoid),
+    ):
+        scene = below({"lamp": own}, size=4)
+        picture(scene, 1)
+        assert type(scene.emitters()[0].lamp.stored) is kind
+
+
+@jit
+def test_update_of_a_mesh_to_a_sphere_and_back():
+    scene = below({"lamp": bulb(BULB)}, integrator=WAYS["light"])
+    params = mi.traverse(scene)
+    for matrix, kind in ((BALL, StoredSphere), (BULB, StoredEllipsoid), (BALL, StoredSphere)):
+        mesh = mi.traverse(mi_ellipse.tessellate(mi_ellipse.Ellipsoid(matrix), 160))
+        for name in ("vertex_positions", "vertex_normals"):
+            params[f"lamp.{name}"] = mesh[name]
+        params.update()
+        expected = picture(below({"lamp": bulb(matrix)}, integrator=WAYS["light"]))
+        np.testing.assert_allclose(picture(scene), expected, rtol=2e-4, atol=1e-5)
+        assert type(scene.emitters()[0].lamp.stored) is kind
+
+
 # ---- Updates ----
 
 
@@ -293,6 +327,8 @@ def test_vertices_that_are_no_ellipsoid_are_refused():
 
 @jit
 def test_update_under_freeze():
+    gc.collect()  # Dr.Jit records the lamps of all living scenes
+
     @dr.freeze
     def frozen(scene):
         return mi.render(scene, spp=16, seed=3)

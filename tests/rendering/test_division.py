@@ -1,11 +1,12 @@
 """Renders that are divided into passes, each a job."""
 
 import dataclasses
+from concurrent.futures import Future
 
 import numpy as np
 import pytest
 from mi_ellipse.rendering import division
-from mi_ellipse.rendering.executor import LocalExecutor
+from mi_ellipse.rendering.executor import JobExecutor, LocalExecutor
 from mi_ellipse.rendering.job import Plan, RenderJob
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
@@ -42,7 +43,18 @@ def test_times_are_sums_and_machines_are_named_once(small_scene):
 
 
 def test_the_number_of_passes_depends_on_the_picture_alone(small_scene):
-    job = RenderJob(small_scene, seed=1)
+    class Elsewhere(JobExecutor):
+        """Plans a picture of 64 × 16 pixels."""
+
+        alone = machine = None
+
+        def submit(self, fn, /, *arguments):
+            spp = fn.__self__.spp
+            future = Future()
+            future.set_result(Plan((spp // 2, spp - spp // 2), (64, 16), False))
+            return future
+
     for spp, passes in ((1, 1), (2**14, 1), (2**14 + 1, 2), (2**17, 8)):
-        plan = Plan((spp // 2, spp - spp // 2), (64, 16), loses_stratification=False)
-        assert division.with_passes_for_a_cluster(job, plan).passes == passes
+        assert division.with_passes(RenderJob(small_scene, spp=spp), Elsewhere()).passes == passes
+    job = RenderJob(small_scene, spp=2**17)
+    assert division.with_passes(job, LocalExecutor()) is job

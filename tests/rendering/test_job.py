@@ -14,6 +14,7 @@ from commands import HEIGHT, LAMP, WIDTH, write_scene
 from mi_ellipse.plugins.grouping import group_lamps
 from mi_ellipse.rendering import job as job_module
 from mi_ellipse.rendering import passes
+from mi_ellipse.rendering.changes import Changes
 from mi_ellipse.rendering.executor import LocalExecutor
 from mi_ellipse.rendering.job import RenderJob
 from mi_ellipse.rendering.provenance import scene_digest
@@ -27,9 +28,9 @@ def loads(monkeypatch):
     made = []
     load = job_module.instantiate
 
-    def counting(parsed, sampling):
+    def counting(parsed, sampling, changes):
         made.append(sampling)
-        return load(parsed, sampling)
+        return load(parsed, sampling, changes)
 
     monkeypatch.setattr(job_module, "instantiate", counting)
     return made
@@ -43,6 +44,7 @@ def test_a_job_is_a_value(scene_file):
     job = RenderJob(scene_file, parameters, "llvm_ad_rgb", "area", 4, 7)
     assert job == RenderJob(str(scene_file), dict(parameters), "llvm_ad_rgb", "area", 4, 7)
     assert len({job, pickle.loads(pickle.dumps(job)), dataclasses.replace(job, seed=8)}) == 2
+    assert job != dataclasses.replace(job, changes=Changes(convert_lamps=True))
     assert job != dataclasses.replace(job, parameters={})
     parameters["sampler"] = "independent"
     assert job.parameters == {"sampler": "stratified"}
@@ -99,7 +101,7 @@ def test_the_variant_of_the_caller_is_set_again_after_an_error(scene_file):
 
 def test_plan(scene_file):
     plan = RenderJob(scene_file, {"sampler": "stratified"}, spp=5).plan()
-    assert plan == job_module.Plan((9,), (WIDTH, HEIGHT), loses_stratification=False)
+    assert plan == job_module.Plan((9,), (WIDTH, HEIGHT), False, sensors=("0",))
     assert plan.spp == 9
 
 
@@ -156,7 +158,7 @@ def test_jobs_in_a_row_share_scene_and_warm_up(scene_file, loads, monkeypatch):
         np.testing.assert_allclose(result.image, alone.image, rtol=1e-5)
 
 
-@pytest.mark.parametrize("change", ["parameters", "variant", "sampling", "file", "mesh"])
+@pytest.mark.parametrize("change", ["parameters", "variant", "sampling", "file", "mesh", "changes"])
 def test_what_makes_another_scene_loads_it(scene_file, loads, change):
     mi.load_dict({"type": "cube"}).write_ply("cube.ply")
     mesh = '<shape type="ply"><string name="filename" value="cube.ply"/></shape>'
@@ -167,6 +169,7 @@ def test_what_makes_another_scene_loads_it(scene_file, loads, change):
         "parameters": {"parameters": {"sampler": "stratified"}},
         "variant": {"variant": "llvm_ad_mono"},
         "sampling": {"sampling": "solid_angle"},
+        "changes": {"changes": Changes(resolution=(3, 2))},
     }
     with LocalExecutor() as executor:
         executor.submit(job.run).result()

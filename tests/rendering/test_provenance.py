@@ -49,6 +49,7 @@ def test_values_and_parameters_of_a_scene_count(tmp_path):
         digest(tmp_path, text.replace("0,-4,3", "0,-4,3.5")),
         digest(tmp_path, text, sampler="stratified"),
         digest(tmp_path, text, sampling="area"),
+        digest(tmp_path, text.replace('<shape type="disk"', '<shape type="disk" id="ceiling"')),
     ]
     assert len(set(digests)) == len(digests)
 
@@ -140,7 +141,7 @@ def test_what_can_make_another_picture_or_time_counts(package, file, pattern, re
 
 
 def test_a_new_module_counts(package):
-    (package / "geometry" / "sphere.py").touch()
+    (package / "geometry" / "something_new.py").touch()
     assert provenance.picture_digest(package) != provenance.picture_digest()
 
 
@@ -204,6 +205,10 @@ def test_description_of_a_picture(scene_file):
         "variant": "llvm_ad_rgb",
         "sampling": "area",
         "grouping": "yes",
+        "convert_lamps": "no",
+        "sensor": "the first",
+        "integrator": "as in the scene",
+        "resolution": "as in the scene",
         "parameters": '{"sampler": "stratified"}',
         "machine": provenance.machine(),
     }

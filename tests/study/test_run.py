@@ -298,6 +298,38 @@ def test_malformed_options(small_scene, option):
     assert option[-2] in result.stderr
 
 
+# ---- Lamps of an existing scene ----
+
+
+def test_built_in_lamps_are_a_baseline_and_lamps_have_their_own_strategies(small_scene, tmp_path):
+    """The scene has `area` alone: one comparison with it, and with what it is converted to."""
+    text = SMALL_SCENE.replace('"ellipse"', '"disk" id="a/b"').replace("ellipticalarea", "area")
+    small_scene.write_text(text)
+    out = tmp_path / "out"
+    arguments = [
+        "compare", small_scene, "--sampling", "built-in,a/b=area+solid_angle,solid_angle",
+        "--spp", 2, "--seeds", 1, "--reference-spp", 64, "-o", out,
+        "--convert-lamps", "--no-grouping",
+    ]  # fmt: skip
+    result = CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+    assert result.exit_code == 0, result.output
+    assert "1 lamp converted" in result.stderr
+    comparison = results.read(out)
+    names = ("built-in", "a/b=area+solid_angle+ungrouped", "solid_angle+ungrouped")
+    assert comparison.strategies == names
+    assert comparison.settings["convert_lamps"] == "yes"
+
+    pictures = [read(comparison.find(EQUAL_SAMPLES, name, 2).pictures[0].file) for name in names]
+    expected = mi.render(mi.load_string(text), spp=2, seed=1).numpy()
+    np.testing.assert_allclose(pictures[0], expected, rtol=1e-5, atol=1e-6)
+    # The strategy `area` draws the points that Mitsuba draws.
+    np.testing.assert_allclose(pictures[1], expected, rtol=1e-4, atol=1e-6)
+    assert not np.allclose(pictures[2], expected, rtol=1e-2)
+    assert mi.Bitmap(str(out / "reference" / "reference.exr")).metadata()["convert_lamps"] == "yes"
+    page = (out / "report.html").read_text()
+    assert "built-in" in page
+
+
 # ---- Packages ----
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from textwrap import wrap
 from typing import Any
 
+from ...rendering.rewrite import BUILT_IN
 from ...sampling import STRATEGIES
 from ..kinds import split
 
@@ -21,7 +22,10 @@ TEXT: dict[Any, Any] = {
     "svg.hashsalt": "mi_ellipse",
 }
 
-# Of a strategy that this version does not know, in results of another one
+# Of Mitsuba's own emitter; no strategy is black
+BUILT_IN_STYLE = ("#000000", "*")
+
+# Of a choice by lamp, and of a strategy that this version does not know, in results of another one
 OTHER_STYLE = ("#555555", "X")
 
 
@@ -30,6 +34,8 @@ def style_of(sampling: str) -> tuple[str, str]:
     strategy, grouping = split(sampling)
     entry = STRATEGIES.get(strategy)
     colour, mark = (entry.colour, entry.mark) if entry else OTHER_STYLE
+    if strategy == BUILT_IN:
+        colour, mark = BUILT_IN_STYLE
     return colour if grouping else _pale(colour), mark
 
 
