@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -33,27 +34,27 @@ TINY_JOBS = 200
 SIZES = (0.1, 3.7, 15.0, 60.0)
 
 
-def run(pairs: int = PAIRS) -> dict:
-    """Measure in turns; a turn takes as long as four times `JOBS` jobs."""
-    turns = max(3, pairs // 8)
+def run(pairs: int = PAIRS, jobs: int = JOBS, spp: int = SAMPLES_PER_PASS // PIXELS) -> dict:
+    """Measure in turns, in each of which every place renders `jobs` jobs of `spp` samples a pixel."""
+    turns, batch = max(3, pairs // 8), Batch(jobs, spp)
     with ExitStack() as stack:
         one, two = (stack.enter_context(cluster.start(count)) for count in (1, 2))
-        local = [Worker(partial(_local, threads)) for threads in (1, 2)]
+        local = [Worker(partial(_local, threads, batch)) for threads in (1, 2)]
         for worker in local:
             stack.callback(worker.close)
         places: dict[str, Callable[[int], float]] = {
-            "1 worker": partial(_batch, one),
-            "2 workers": partial(_batch, two),
+            "1 worker": partial(batch.seconds, one),
+            "2 workers": partial(batch.seconds, two),
             "1 thread": local[0].time,
             "2 threads": local[1].time,
         }
-        results = _throughput(places, turns)
+        results = vars(batch) | {"turns": turns} | _throughput(places, turns, jobs)
         results["overhead"] = _overhead(one, turns)
         results["transfer"] = _transfer(one, turns)
     return results
 
 
-def _throughput(places: dict[str, Callable[[int], float]], turns: int) -> dict:
+def _throughput(places: dict[str, Callable[[int], float]], turns: int, jobs: int) -> dict:
     """Seconds of a batch of jobs in each place, in changing order, and what is gained in pairs."""
     for measure in places.values():
         measure(0)  # Compilation
@@ -61,7 +62,7 @@ def _throughput(places: dict[str, Callable[[int], float]], turns: int) -> dict:
     for turn in range(1, turns + 1):
         for name in list(places)[:: 1 if turn % 2 else -1]:
             times[name].append(places[name](turn))
-    seconds = {name: median(values) / JOBS for name, values in times.items()}
+    seconds = {name: median(values) / jobs for name, values in times.items()}
     ratios = {
         f"{a} over {b}": vars(Ratio.of(np.divide(times[b], times[a])))
         for a, b in (
@@ -75,26 +76,29 @@ def _throughput(places: dict[str, Callable[[int], float]], turns: int) -> dict:
         print(f"{name:<12}{value:.3f} s a job")
     for name, ratio in ratios.items():
         print(f"{name:<28}{Ratio(**ratio)}")
-    spp = SAMPLES_PER_PASS // PIXELS
-    return {
-        "turns": turns, "jobs": JOBS, "spp": spp, "seconds_a_job": seconds, "throughput": ratios,
-    }  # fmt: skip
+    return {"seconds_a_job": seconds, "throughput": ratios}
 
 
-def _local(threads: int) -> Work:
-    """A batch of jobs in a process of its own."""
+@dataclass(frozen=True)
+class Batch:
+    """Jobs that are measured together."""
+
+    jobs: int
+    spp: int
+
+    def seconds(self, executor: JobExecutor, seed: int) -> float:
+        """Render them, and return how long it took until all pictures were here."""
+        jobs = [RenderJob(SCENE, spp=self.spp, seed=self.jobs * seed + k) for k in range(self.jobs)]
+        start = time.perf_counter()
+        for _ in executor.map(RenderJob.run, jobs):
+            pass
+        return time.perf_counter() - start
+
+
+def _local(threads: int, batch: Batch) -> Work:
+    """Jobs in a process of its own."""
     dr.set_thread_count(threads)
-    return partial(_batch, LocalExecutor())
-
-
-def _batch(executor: JobExecutor, seed: int) -> float:
-    """Seconds of a batch of jobs, pictures returned."""
-    spp = SAMPLES_PER_PASS // PIXELS
-    jobs = [RenderJob(SCENE, spp=spp, seed=JOBS * seed + k) for k in range(JOBS)]
-    start = time.perf_counter()
-    for _ in executor.map(RenderJob.run, jobs):
-        pass
-    return time.perf_counter() - start
+    return partial(batch.seconds, LocalExecutor())
 
 
 def _overhead(executor: ClusterExecutor, turns: int) -> dict[str, float]:

@@ -33,7 +33,6 @@ NOT_IN_A_PICTURE = (
     "measures.py",
     "rendering/cluster.py",
     "rendering/converted_file.py",
-    "rendering/executor.py",
     "rendering/parcel.py",
     "rendering/provenance.py",
     "rendering/worker.py",

@@ -162,7 +162,11 @@ def imported_modules(file: Path):
 def test_the_code_that_counts_uses_nothing_that_does_not():
     package = provenance.PACKAGE
     # Only these may: they pass on what others compute, or say it.
-    allowed = {("__init__.py", "measures.py"), ("rendering/job.py", "rendering/provenance.py")}
+    allowed = {
+        ("__init__.py", "measures.py"),
+        ("rendering/executor.py", "rendering/provenance.py"),
+        ("rendering/job.py", "rendering/provenance.py"),
+    }
     used = {
         (name, imported)
         for file in package.rglob("*.py")
