@@ -35,7 +35,7 @@ SIZES = (0.1, 3.7, 15.0, 60.0)
 
 
 def run(pairs: int = PAIRS, jobs: int = JOBS, spp: int = SAMPLES_PER_PASS // PIXELS) -> dict:
-    """Measure in turns, in each of which every place renders `jobs` jobs of `spp` samples a pixel."""
+    """Measure in turns; in each, every place renders `jobs` jobs of `spp` samples a pixel."""
     turns, batch = max(3, pairs // 8), Batch(jobs, spp)
     with ExitStack() as stack:
         one, two = (stack.enter_context(cluster.start(count)) for count in (1, 2))

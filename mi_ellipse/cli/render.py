@@ -62,12 +62,12 @@ def run(
         bool, typer.Option("--half", help="Store half instead of single precision.")
     ] = False,
     grouping: Grouping = True,
-    passes: Annotated[
+    pass_spp: Annotated[
         int | None,
         typer.Option(
             min=1,
-            help="Passes at least; by default as few as possible, on a cluster as many as hold"
-            f" {division.SAMPLES_PER_PASS / 1e6:.0f} million samples each.",
+            help="Samples per pixel of a pass. By default there are as few passes as possible, and"
+            f" on a cluster passes of {division.SAMPLES_PER_PASS / 1e6:.0f} million samples.",
         ),
     ] = None,
     scheduler: Scheduler = None,
@@ -102,7 +102,7 @@ def run(
             seed,
             grouping=grouping,
             changes=changes,
-            passes=passes or 1,
+            pass_spp=pass_spp,
         )
         jobs = _for_each_sensor(job, exr) if sensor == ALL else {exr: job}
         for file in jobs:
@@ -110,7 +110,7 @@ def run(
             _check_writable(file.with_suffix(".png"))
         with place(scheduler, workers, Console(stderr=True)) as executor:
             for file, one in jobs.items():
-                if passes is None:
+                if pass_spp is None:
                     one = division.with_passes(one, executor)
                 _make_picture(one, file, half, executor)
 

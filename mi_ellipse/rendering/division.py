@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
 
@@ -19,17 +18,20 @@ SAMPLES_PER_PASS = 2**24
 
 def with_passes(job: RenderJob, executor: JobExecutor) -> RenderJob:
     """
-    Return a job with as many passes as hold some :data:`SAMPLES_PER_PASS` each.
+    Return a job with passes of :data:`SAMPLES_PER_PASS` samples or less.
 
-    The number depends on the picture alone, so that all clusters give the same one. This process
+    Their size depends on the picture alone, so that all clusters give the same one. This process
     needs no more passes than the job has.
     """
     if isinstance(executor, LocalExecutor):
         return job
-    plan = executor.submit(job.plan).result()
-    width, height = plan.film_size
-    passes = math.ceil(plan.spp * width * height / SAMPLES_PER_PASS)
-    return dataclasses.replace(job, passes=passes)
+    width, height = executor.submit(job.plan).result().film_size
+    return dataclasses.replace(job, pass_spp=pass_size(width * height))
+
+
+def pass_size(pixels: int, samples: int | None = None) -> int:
+    """Return samples per pixel of a pass with :data:`SAMPLES_PER_PASS`, or `samples`, at most."""
+    return passes.repeatable_size(max(1, (samples or SAMPLES_PER_PASS) // pixels))
 
 
 def divide(job: RenderJob, sizes: Sequence[int]) -> list[RenderJob]:
@@ -45,7 +47,7 @@ def divide(job: RenderJob, sizes: Sequence[int]) -> list[RenderJob]:
     """
     seeds = passes.pass_seeds(job.seed, len(sizes))
     return [
-        dataclasses.replace(job, spp=size, seed=seed, passes=1, warm_up=False)
+        dataclasses.replace(job, spp=size, seed=seed, pass_spp=size, warm_up=False)
         for size, seed in zip(sizes, seeds, strict=True)
     ]
 
@@ -57,8 +59,8 @@ def render(
     Render the passes of a job as jobs of their own.
 
     The picture is that of ``job.run()`` bit for bit, wherever the passes are rendered and whichever
-    ends first, where each pass has the same bits everywhere: films with a box filter, or one thread
-    in each process.
+    ends first, where each pass has the same bits everywhere: the job has a `pass_spp`, and the film
+    a box filter or each process one thread.
 
     Parameters
     ----------

@@ -75,7 +75,7 @@ class RenderJob:
     Raises
     ------
     ValueError
-        If `spp`, `seed` or `passes` is impossible.
+        If `spp`, `seed` or `pass_spp` is impossible.
     """
 
     scene: Path  # XML file
@@ -90,22 +90,24 @@ class RenderJob:
     warm_up: bool = False
     grouping: bool = True  # Two or more lamps choose among themselves; False: Mitsuba's choice
     changes: Changes = UNCHANGED  # Of lamps, sensor, integrator and resolution
-    passes: int = 1  # at least; more where a pass would hold too many samples
+    # Samples per pixel of each pass but the last, which are then the same bit for bit each time if
+    # the film has a box filter. None: as few passes as possible
+    pass_spp: int | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", Path(self.scene))
         object.__setattr__(self, "parameters", Parameters(self.parameters))
         if self.spp is not None and self.spp < 1:
             raise ValueError(f"spp={self.spp}: a picture needs at least 1 sample per pixel")
-        if self.passes < 1:
-            raise ValueError(f"passes={self.passes}: a picture needs at least 1 pass")
+        if self.pass_spp is not None and self.pass_spp < 1:
+            raise ValueError(f"pass_spp={self.pass_spp}: a pass needs at least 1 sample per pixel")
         if not 0 <= self.seed <= MAX_SEED:
             raise ValueError(f"seed={self.seed}: a seed lies from 0 to {MAX_SEED}")
 
     def plan(self) -> Plan:
         """Load the scene, if it is not there yet, and tell how the job will be rendered."""
         with _staged(self) as loaded:
-            sizes = passes.plan_passes(loaded.scene, self.spp, passes=self.passes)
+            sizes = passes.plan_passes(loaded.scene, self.spp, pass_spp=self.pass_spp)
             width, height = loaded.scene.sensors()[0].film().crop_size()
             loses = passes.loses_stratification(loaded.scene, len(sizes))
             size = int(width), int(height)
@@ -130,7 +132,7 @@ class RenderJob:
                 loaded.warm_up = passes.render(loaded.scene, self.spp, self.seed).timing
             limit = passes.MAX_SAMPLES_PER_PASS
             rendering = passes.render(
-                loaded.scene, self.spp, self.seed, progress, limit, self.passes
+                loaded.scene, self.spp, self.seed, progress, limit, self.pass_spp
             )
             return dataclasses.replace(
                 rendering,

@@ -15,10 +15,16 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from ..system.threads import use_threads
+
 # Mitsuba numbers the samples of a pass with 32 bits. Memory sets no tighter limit: `path`, `prb`
 # and `volpath` run as one kernel that keeps nothing per sample (under LLVM, peak memory grew by
 # less than 2 MiB from 4 to 34 million samples). The film, 12 bytes a pixel, cannot be split.
 MAX_SAMPLES_PER_PASS = 2**32 - 1
+
+# Samples of a kernel that Dr.Jit gives to one thread, where there are enough
+# (`LLVMThreadState::launch` in drjit-core)
+BLOCK = 2**14
 
 
 # Called after each pass with the number of passes done and their total
@@ -80,10 +86,10 @@ def plan_passes(
     scene: mi.Scene,
     spp: int | None = None,
     max_samples: int = MAX_SAMPLES_PER_PASS,
-    passes: int = 1,
+    pass_spp: int | None = None,
 ) -> tuple[int, ...]:
     """
-    Split a number of samples per pixel into as few passes as possible.
+    Split a number of samples per pixel into passes.
 
     Parameters
     ----------
@@ -94,8 +100,8 @@ def plan_passes(
     max_samples
         Largest number of samples (pixels × samples per pixel) in one pass; scalar variants have no
         limit.
-    passes
-        At least so many passes, as far as each takes at least a sample per pixel.
+    pass_spp
+        Wanted samples per pixel of a pass; None makes as few passes as possible.
 
     Returns
     -------
@@ -113,10 +119,30 @@ def plan_passes(
     # The largest pass within the limit; then passes of similar size, the last with what is left.
     counts = range(1, min(spp, limit) + 1)
     largest = bisect_right(counts, limit, key=lambda count: _feasible_count(sampler, count)) or 1
-    passes = max(math.ceil(spp / _feasible_count(sampler, largest)), min(passes, spp))
-    size = _feasible_count(sampler, math.ceil(spp / passes))
+    passes = math.ceil(spp / _feasible_count(sampler, largest))
+    wanted = math.ceil(spp / passes) if pass_spp is None else min(pass_spp, largest, spp)
+    size = _feasible_count(sampler, wanted)
     passes = math.ceil(spp / size)
     return (size,) * (passes - 1) + (_feasible_count(sampler, spp - size * (passes - 1)),)
+
+
+def repeatable_size(spp: int) -> int:
+    """Return the largest size of a pass, not above `spp`, that several threads can repeat."""
+    return min(BLOCK, 1 << (spp.bit_length() - 1))
+
+
+def repeatable_threads(scene: mi.Scene, spp: int) -> int:
+    """
+    Return the threads with which a pass is the same each time, bit for bit, as far as there are.
+
+    Several threads add up the samples of a pixel in changing order, unless one of them has them
+    all. Dr.Jit gives each thread blocks of :data:`BLOCK` samples, or smaller ones where those would
+    be less than two a thread. With another filter than the box filter, pixels share samples; this
+    function then returns all threads.
+    """
+    threads, film = dr.thread_count(), _sensor(scene).film()
+    whole = BLOCK % spp == 0 and spp * _count_pixels(film) > 2 * threads * BLOCK
+    return threads if whole or film.rfilter().class_name() != "BoxFilter" else 1
 
 
 def loses_stratification(scene: mi.Scene, passes: int) -> bool:
@@ -130,7 +156,7 @@ def render(
     seed: int = 0,
     progress: Progress | None = None,
     max_samples: int = MAX_SAMPLES_PER_PASS,
-    passes: int = 1,
+    pass_spp: int | None = None,
 ) -> Rendering:
     """
     Render the first sensor of a scene and average the passes.
@@ -143,27 +169,28 @@ def render(
     ----------
     scene
         Loaded scene with a sensor and an integrator.
-    spp, max_samples, passes
-        See :func:`plan_passes`.
+    spp, max_samples, pass_spp
+        See :func:`plan_passes`. With `pass_spp`, passes have as many threads as give the same
+        bits each time, see :func:`repeatable_threads`.
     seed
         From 0 to 2³² - 1. Further passes derive theirs from it.
     progress
         Called after each pass with the number of passes done and their total.
     """
-    sizes = plan_passes(scene, spp, max_samples, passes)
+    sizes = plan_passes(scene, spp, max_samples, pass_spp)
     # The history of the kernels tells their times. It costs none: interleaved renders of 16 ms took
     # 1.004 times as long with it.
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
         dr.kernel_history_clear()
         start = time.perf_counter()
-        image = _average(scene, sizes, seed, progress)
+        image = _average(scene, sizes, seed, progress, pass_spp is not None)
         seconds = time.perf_counter() - start
         timing = _split_time(seconds, dr.kernel_history())
     return Rendering(image, _channel_names(scene, image.shape[2]), sum(sizes), len(sizes), timing)
 
 
 def _average(
-    scene: mi.Scene, sizes: Sequence[int], seed: int, progress: Progress | None
+    scene: mi.Scene, sizes: Sequence[int], seed: int, progress: Progress | None, repeatable: bool
 ) -> NDArray[np.float32]:
     """Render a pass of each size, and average them weighted by their samples."""
     # `dr.freeze` cannot record Mitsuba's spectral variants: they use tables that no argument holds.
@@ -173,8 +200,10 @@ def _average(
     average = Average()
     seeds = pass_seeds(seed, len(sizes))
     for done, (size, pass_seed) in enumerate(zip(sizes, seeds, strict=True), start=1):
-        image = render_pass(scene, dr.opaque(mi.UInt32, pass_seed), size)
-        average.add(image, size)
+        threads = repeatable_threads(scene, size) if repeatable else dr.thread_count()
+        with use_threads(threads):
+            image = render_pass(scene, dr.opaque(mi.UInt32, pass_seed), size)
+            average.add(image, size)
         if progress is not None:
             progress(done, len(sizes))
     return average.image()

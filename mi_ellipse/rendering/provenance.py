@@ -132,6 +132,7 @@ def describe(job: RenderJob, rendering: Rendering) -> dict[str, str]:
         "scene_digest": rendering.scene_digest,
         "spp": str(rendering.spp),
         "passes": str(rendering.passes),
+        "pass_spp": "as many as possible" if job.pass_spp is None else str(job.pass_spp),
         "seed": str(job.seed),
         "variant": job.variant,
         "sampling": job.sampling or "as in the scene",

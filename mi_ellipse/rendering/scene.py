@@ -11,10 +11,10 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 
 from ..plugins.names import ELLIPTICAL_AREA
+from ..system.threads import use_threads
 from . import rewrite
 from .changes import UNCHANGED, Changes, sensor_names
 from .rewrite import Conversion
@@ -182,7 +182,9 @@ def instantiate(
         if sampling is not None:
             rewrite.choose_sampling(state, sampling)
         mi.parser.transform_all(parsed.config, state)
-        with _one_thread():
+        # Several threads build a ray tracing hierarchy whose order changes from one load to the
+        # next, and with it the last digits of where rays meet meshes.
+        with use_threads(1):
             scene = mi.parser.instantiate(parsed.config, state)
     if not isinstance(scene, mi.Scene):
         raise ValueError(f"{parsed.path}: the root element is no <scene>")
@@ -214,19 +216,3 @@ def under_variant(variant: str) -> Iterator[None]:
     finally:
         if before is not None:
             mi.set_variant(before)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """
-    Let the scene be built the same way each time.
-
-    Several threads build a ray tracing hierarchy whose order changes from one load to the next, and
-    with it the last digits of where rays meet meshes.
-    """
-    threads = dr.thread_count()
-    dr.set_thread_count(1)
-    try:
-        yield
-    finally:
-        dr.set_thread_count(threads)

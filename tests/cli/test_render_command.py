@@ -52,6 +52,7 @@ def test_render_writes_a_picture_with_the_settings_that_made_it(scene_file):
         ),
         "spp": "8",
         "passes": "1",
+        "pass_spp": "as many as possible",
         "seed": str(2**32 - 1),
         "variant": "llvm_ad_rgb",
         "sampling": "solid_angle",
@@ -292,7 +293,7 @@ def test_loss_of_stratification_is_announced(scene_file, monkeypatch, sampler, w
     monkeypatch.setattr(
         passes,
         "plan_passes",
-        lambda scene, spp=None, limit=0, passes=1: plan(scene, spp, samples(4)),
+        lambda scene, spp=None, limit=0, pass_spp=None: plan(scene, spp, samples(4)),
     )
     result = invoke("render", scene_file, "--spp", 16, "-D", f"sampler={sampler}")
     assert "16 spp, 4 passes" in result.stdout

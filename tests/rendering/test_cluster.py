@@ -312,11 +312,11 @@ def test_render_on_a_cluster_is_the_local_render(both, small_scene, monkeypatch,
     assert there.exit_code == 0, there.output
     assert "100 spp, 7 passes" in there.stdout
     assert "Cluster: 2 worker(s)" in there.stderr
-    here = invoke("render", small_scene, "--spp", 100, "-o", "b.exr", "--passes", 7)
+    here = invoke("render", small_scene, "--spp", 100, "-o", "b.exr", "--pass-spp", 16)
     assert here.exit_code == 0, here.output
     np.testing.assert_array_equal(read("a.exr"), read("b.exr"))
     first, second = (mi.Bitmap(name).metadata() for name in ("a.exr", "b.exr"))
-    for name in ("scene", "scene_digest", "spp", "passes", "seed", "parameters"):
+    for name in ("scene", "scene_digest", "spp", "passes", "pass_spp", "seed", "parameters"):
         assert first[name] == second[name]
     assert first["machine"].endswith(f"1 threads, on {platform.node()}")
 
@@ -347,7 +347,7 @@ def test_compare_takes_the_options_of_a_cluster(small_scene, tmp_path, monkeypat
 
 def test_workers_of_this_machine(small_scene, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    options = ("--spp", 6, "--passes", 3)
+    options = ("--spp", 6, "--pass-spp", 2)
     there = invoke("render", small_scene, *options, "-o", "a.exr", "--workers", 1)
     assert there.exit_code == 0, there.output
     assert "Cluster: 1 worker(s) with 1 thread(s)" in there.stderr

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 
 
 def test_passes_as_jobs_are_the_render_bit_for_bit(small_scene):
-    job = RenderJob(small_scene, spp=11, seed=3, passes=4)
+    job = RenderJob(small_scene, spp=11, seed=3, pass_spp=3)
     whole = job.run()
     calls = []
     with LocalExecutor() as executor:
@@ -42,19 +42,22 @@ def test_times_are_sums_and_machines_are_named_once(small_scene):
     assert (result.machine, result.seconds, result.spp) == ("a, b", 6.0, 3)
 
 
-def test_the_number_of_passes_depends_on_the_picture_alone(small_scene):
+def test_the_size_of_passes_depends_on_the_picture_alone(small_scene):
     class Elsewhere(JobExecutor):
-        """Plans a picture of 64 × 16 pixels."""
+        """Plans a picture of some size."""
 
         alone = machine = None
 
+        def __init__(self, size):
+            self._size = size
+
         def submit(self, fn, /, *arguments):
-            spp = fn.__self__.spp
             future = Future()
-            future.set_result(Plan((spp // 2, spp - spp // 2), (64, 16), False))
+            future.set_result(Plan((4, 4), self._size, loses_stratification=False))
             return future
 
-    for spp, passes in ((1, 1), (2**14, 1), (2**14 + 1, 2), (2**17, 8)):
-        assert division.with_passes(RenderJob(small_scene, spp=spp), Elsewhere()).passes == passes
-    job = RenderJob(small_scene, spp=2**17)
+    sizes = {(64, 16): 2**14, (640, 480): 32, (8, 8): 2**14, (8192, 8192): 1}
+    for size, pass_spp in sizes.items():
+        assert division.with_passes(RenderJob(small_scene), Elsewhere(size)).pass_spp == pass_spp
+    job = RenderJob(small_scene)
     assert division.with_passes(job, LocalExecutor()) is job

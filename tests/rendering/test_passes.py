@@ -69,3 +69,61 @@ def test_passes_in_other_variants(scene_file, variant):
 def test_single_pass_is_not_recorded(scene_file, monkeypatch):
     monkeypatch.setattr(dr, "freeze", lambda _: pytest.fail("recorded a single pass"))
     assert passes.render(load_scene(scene_file), 4).passes == 1
+
+
+# ---- Passes that can be repeated ----
+
+
+@pytest.mark.parametrize(
+    ("sampler", "spp", "limit", "pass_spp", "expected"),
+    [
+        ("independent", 11, passes.MAX_SAMPLES_PER_PASS, 4, (4, 4, 3)),
+        ("independent", 3, passes.MAX_SAMPLES_PER_PASS, 4, (3,)),
+        ("independent", 8, samples(3), 4, (3, 3, 2)),
+        ("stratified", 20, passes.MAX_SAMPLES_PER_PASS, 8, (9, 9, 4)),
+    ],
+)
+def test_plan_passes_of_a_size(scene_file, sampler, spp, limit, pass_spp, expected):
+    scene = load_scene(scene_file, {"sampler": sampler})
+    assert passes.plan_passes(scene, spp, limit, pass_spp) == expected
+
+
+def test_scalar_variants_make_passes_of_a_size(scene_file):
+    mi.set_variant("scalar_rgb")
+    scene = load_scene(scene_file)
+    assert passes.plan_passes(scene, 5) == (5,)
+    assert passes.plan_passes(scene, 5, pass_spp=2) == (2, 2, 1)
+
+
+@pytest.fixture
+def threads():
+    """Set the number of threads; the number of before returns in the end."""
+    before = dr.thread_count()
+    yield dr.set_thread_count
+    dr.set_thread_count(before)
+
+
+@pytest.mark.parametrize("spp", [3, 32, 1000, 20000])
+def test_passes_of_a_size_are_the_same_with_any_number_of_threads(small_scene, threads, spp):
+    """A film of 24 × 16 pixels, so that blocks of samples end within pixels."""
+    scene = load_scene(small_scene)
+    images = []
+    for count in (1, 2, 5, 5):
+        threads(count)
+        images.append(passes.render(scene, spp, 1, pass_spp=spp).image)
+        assert dr.thread_count() == count
+    for image in images[1:]:
+        np.testing.assert_array_equal(image, images[0])
+
+
+def test_threads_of_a_pass_that_can_be_repeated(small_scene, threads):
+    text = small_scene.read_text().replace('value="24"', 'value="1024"')
+    small_scene.write_text(text)
+    scene = load_scene(small_scene)
+    threads(4)
+    assert passes.repeatable_threads(scene, 2**14) == 4
+    assert passes.repeatable_threads(scene, 2**14 - 1) == 1
+    assert passes.repeatable_threads(scene, 2) == 1
+    small_scene.write_text(text.replace('"box"', '"gaussian"'))
+    assert passes.repeatable_threads(load_scene(small_scene), 3) == 4
+    assert [passes.repeatable_size(spp) for spp in (1, 5, 64, 10**6)] == [1, 4, 64, 2**14]

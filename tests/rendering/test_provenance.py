@@ -205,6 +205,7 @@ def test_description_of_a_picture(scene_file):
         "scene_digest": provenance.scene_digest(scene_file, {"sampler": "stratified"}),
         "spp": "9",
         "passes": "1",
+        "pass_spp": "as many as possible",
         "seed": "3",
         "variant": "llvm_ad_rgb",
         "sampling": "area",
