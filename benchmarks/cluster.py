@@ -134,7 +134,7 @@ def _transfer(executor: ClusterExecutor, turns: int) -> dict[str, float]:
         times = []
         for _ in range(2 * turns):
             start = time.perf_counter()
-            executor.submit(np.zeros, count, np.float32).result()
+            executor.submit(np.full, count, 0.5, np.float32).result()
             times.append(time.perf_counter() - start)
         seconds.append(median(times))
     slope = np.polyfit(SIZES, seconds, 1)[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import os
 import re
 import time
 import uuid
@@ -269,26 +270,34 @@ class ClusterExecutor(JobExecutor):
     @contextmanager
     def held_still(self, address: str) -> Iterator[None]:
         """Keep the other workers of a worker's machine, and its other threads, from any work."""
-        present, threads = self._identities(), self.client.nthreads()
-        host = present[address].host
         name = f"mi_ellipse-{uuid.uuid4().hex}"
-        threads[address] -= 1
+        end = distributed.Event(name, client=self.client)
         held = []
-        for neighbour in (other for other, one in present.items() if one.host == host):
-            for k in range(threads.get(neighbour, 0)):
-                started = f"{name}-{neighbour}-{k}"
-                future = self.client.submit(
-                    worker.hold_still, name, started, workers=[neighbour], pure=False
-                )
-                held.append((neighbour, distributed.Event(started, client=self.client), future))
         try:
+            for neighbour, threads in self._neighbours(address).items():
+                for k in range(threads):
+                    started = f"{name}-{neighbour}-{k}"
+                    future = self.client.submit(
+                        worker.hold_still, name, started, workers=[neighbour], pure=False
+                    )
+                    event = distributed.Event(started, client=self.client)
+                    held.append((neighbour, event, future))
             for neighbour, event, _ in held:
                 while not event.wait(timeout=REFRESH) and neighbour in self.client.nthreads():
                     pass
             yield
         finally:
-            distributed.Event(name, client=self.client).set()
+            end.set()
             self.client.cancel([future for *_, future in held])
+
+    def _neighbours(self, address: str) -> dict[str, int]:
+        """Return the workers of a worker's machine, and their threads that could do other work."""
+        present, threads = self._identities(), dict(self.client.nthreads())
+        if address not in present:  # It has just died.
+            return {}
+        threads[address] = threads.get(address, 1) - 1
+        host = present[address].host
+        return {other: threads.get(other, 0) for other, one in present.items() if one.host == host}
 
     # ---- Beginning and end ----
 
@@ -448,6 +457,8 @@ def start(workers: int, say: Callable[[str], None] = lambda sentence: None) -> C
     if workers < 1:
         raise ValueError(f"workers={workers}: a cluster needs at least 1 worker")
     with ExitStack() as closing:
+        if workers > (cores := os.cpu_count() or 1):
+            say(f"{workers} workers share {cores} cores: more of them than cores are no faster")
         cluster = distributed.LocalCluster(
             n_workers=workers,
             threads_per_worker=1,

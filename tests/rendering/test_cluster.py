@@ -10,6 +10,7 @@ import sys
 import time
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 
 import mi_ellipse
 import mitsuba as mi
@@ -261,6 +262,12 @@ def test_a_new_worker_gets_the_files_of_before(both, small_scene):
     wait_for(lambda: len(set(pids(both).values()) - set(before.values())) == 2)
     np.testing.assert_array_equal(both.submit(job.run).result().image, expected)
     assert len(both._plugins) == sent
+
+
+def test_a_job_that_ends_workers_is_an_error(both):
+    last = SimpleNamespace(address="tcp://10.0.0.8:1234")
+    error = both.explain(distributed.KilledWorker("run-1", last, 3))
+    assert str(error).startswith("a job has ended 4 workers, the last one at tcp://10.0.0.8:1234")
 
 
 # ---- Jobs that are timed ----
