@@ -26,6 +26,7 @@ NAMES = (
     "first_frame",
     "growth",
     "ellipsoids",
+    "bulbs",
     "groups",
     "cluster",
 )

@@ -18,7 +18,7 @@ from mi_ellipse.sampling import DEFAULT, STRATEGIES
 from .text import table
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = ("README.md", "docs/strategies.md", "docs/clusters.md")
+PAGES = ("README.md", "docs/clusters.md", "docs/strategies.md", "docs/study.md")
 BLOCK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- end of figures -->)", re.DOTALL)
 
 BARE = "bare floor and ball"
@@ -185,6 +185,22 @@ def weights() -> str:
     return table(" | ".join(["strategy", *WEIGHTS, *RANGES]), rows)
 
 
+# ---- docs/study.md ----
+
+
+def bulbs() -> str:
+    """Errors and times of the scene of spheres and ellipsoids."""
+    rows = []
+    for kind, entry in data("bulbs")["kinds"].items():
+        cells = []
+        for samples in (DIRECT, BOTH):
+            error = f"{1e6 * entry[samples]['trimmed']:.3g}"
+            cells += [error, number(entry[samples]["error_ratio"], 3)]
+        time = "{median:.2f} [{low:.2f}, {high:.2f}]".format(**entry["time"])
+        rows.append([kind, *cells, time])
+    return table("lamps | light samples | times lower | MIS | times lower | time", rows)
+
+
 # ---- docs/many_lamps.md ----
 
 
@@ -272,6 +288,7 @@ def cluster_scaling() -> str:
 
 
 BLOCKS: dict[str, Callable[[], str]] = {
+    "bulbs": bulbs,
     "cluster": cluster,
     "cluster_scaling": cluster_scaling,
     "groups": groups,

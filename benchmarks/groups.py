@@ -11,15 +11,18 @@ from functools import partial
 from typing import TypeAlias
 
 import drjit as dr
+import matplotlib.pyplot as plt
 import mi_ellipse
 import mitsuba as mi
 import numpy as np
+from mi_ellipse.sampling import STRATEGIES as REGISTERED
 from mi_ellipse.study.metrics import trimmed_mean
 from scipy.stats import t as student
 
 from .harness import Ratio, Work, Worker, in_new_process, peak_memory
 from .lamps import many_lamps
-from .scenes import BUILT_IN, LIGHT_SAMPLES, PATH, lamp, scene_file
+from .pictures import draw
+from .scenes import BUILT_IN, LIGHT_SAMPLES, PATH, SCENES, lamp, scene_file
 
 STRATEGIES = ("solid_angle", "projected_solid_angle")
 GROUPED = ", grouped"
@@ -36,6 +39,12 @@ ROUNDS = 2  # of new processes
 COUNTS = (1, 10, 100, 1000)
 TRACED = 2  # processes of each count and kind
 EXACT_UP_TO = 16  # lamps; the exact choice looks at every lamp, one after the other
+
+IMAGES = SCENES.parent / "docs" / "images"
+GAINS = IMAGES / "many_lamps.svg"
+PICTURES = IMAGES / "many_lamps_bunny.png"
+SIZE_SHOWN, SPP_SHOWN = 320, 8
+INSETS = {"#D55E00": (40, 200, 80, 60), "#0072B2": (180, 90, 80, 60)}  # column, row, width, height
 
 Load: TypeAlias = "Callable[[str], mi.Scene]"  # Of a kind of lamps
 
@@ -111,6 +120,33 @@ def tilted_lamps(kind: str, count: int) -> mi.Scene:
     return floor_and_ball(lamps, [0, -8, 5])
 
 
+def rooms(kind: str) -> mi.Scene:
+    """Nine rooms with a lamp below each ceiling. The camera is in one of them, and sees two more.
+
+    Most lamps cannot be seen from most points. A choice does not know that.
+    """
+    lamps: dict[str, dict] = {}
+    for k in range(9):
+        x, y = 3.0 * (k % 3 - 1), 3.0 * (k // 3 - 1)
+        place = mi.ScalarTransform4f().translate([x, y, 1.9]).rotate([1, 0, 0], 180)
+        lamps[f"lamp{k}"] = _disc(kind, place.scale(0.4), [4, 4, 3.5])
+    for k, at in enumerate((-4.5, -1.5, 1.5, 4.5)):
+        # A door is open in the middle of each inner wall.
+        for j, (begin, end) in enumerate(
+            ((-4.5, -0.6), (0.6, 4.5)) if k in (1, 2) else ((-4.5, 4.5),)
+        ):
+            middle, half = 0.5 * (begin + end), 0.5 * (end - begin)
+            size = [0.05, half, 1.0]
+            lamps[f"wall_x{k}{j}"] = _wall([at, middle, 1.0], size)
+            lamps[f"wall_y{k}{j}"] = _wall([middle, at, 1.0], [size[1], size[0], 1.0])
+    lamps["ceiling"] = _wall([0, 0, 2.05], [4.6, 4.6, 0.05])
+    return floor_and_ball(lamps, [1.0, -1.2, 1.5])
+
+
+def _wall(centre: Sequence[float], half: Sequence[float]) -> dict:
+    return {"type": "cube", "to_world": mi.ScalarTransform4f().translate(centre).scale(half)}
+
+
 def bunny(kind: str) -> mi.Scene:
     """The bunny between two round lamps."""
     return scene_file("bunny", kind, resx=SIZE, resy=SIZE)
@@ -130,6 +166,8 @@ CASES: dict[str, tuple[int, Load]] = {
     "2 tilted lamps": (2, partial(two_discs, tilt=60)),
     "bunny": (2, bunny),
     "4 equal lamps far away": (4, equal_lamps_far_away),
+    "9 rooms with a lamp each": (9, rooms),
+    "4 tilted lamps": (4, partial(tilted_lamps, count=4)),
     "16 tilted lamps": (16, partial(tilted_lamps, count=16)),
     "100 tilted lamps": (100, partial(tilted_lamps, count=100)),
     "1000 tilted lamps": (1000, partial(tilted_lamps, count=1000)),
@@ -338,6 +376,49 @@ def measure_tracing() -> dict[str, dict[str, dict[str, float]]]:
     return results
 
 
+# ---- Figures ----
+
+
+def draw_gains(cases: dict[str, dict]) -> None:
+    """Error times time of built-in lamps over that of others, by the number of tilted lamps."""
+    names = [name for name in cases if name.endswith(" tilted lamps") and name != "2 tilted lamps"]
+    counts = [cases[name]["lamps"] for name in names]
+    figure, axes = plt.subplots(1, 2, figsize=(8, 3.2), layout="constrained", sharey=True)
+    for panel, samples in zip(axes, INTEGRATORS, strict=True):
+        for kind in KINDS:
+            strategy = kind.removesuffix(GROUPED)
+            entries = [cases[name][samples] for name in names]
+            costs = [[e[k]["trimmed"] * e[k]["seconds"] for e in entries] for k in (BUILT_IN, kind)]
+            entry = REGISTERED.get(strategy)
+            panel.plot(
+                counts,
+                np.divide(*costs),
+                color=entry.colour if entry else "black",
+                marker=entry.mark if entry else "",
+                linestyle="-" if kind.endswith(GROUPED) else "--",
+                label=kind.replace("_", " "),
+            )
+        panel.set(xscale="log", yscale="log", title=samples, xlabel="lamps")
+        panel.grid(alpha=0.3)
+    axes[0].set_ylabel("error × time, built-in over this")
+    axes[1].legend(fontsize=7)
+    figure.savefig(GAINS)
+    plt.close(figure)
+
+
+def draw_pictures() -> None:
+    """The bunny with few samples: Mitsuba's choice of the lamp, and the group's."""
+    pictures = {}
+    for kind in (BUILT_IN, "projected_solid_angle", "projected_solid_angle" + GROUPED):
+        scene = scene_file("bunny", kind.removesuffix(GROUPED), resx=SIZE_SHOWN, resy=SIZE_SHOWN)
+        if kind.endswith(GROUPED):
+            mi_ellipse.group_lamps(scene)
+        pictures[kind.replace("_", " ")] = np.array(mi.render(scene, spp=SPP_SHOWN, seed=1))
+        if kind.endswith(GROUPED):
+            pictures["reference"] = np.array(mi.render(scene, spp=1024, seed=2))
+    draw(PICTURES, pictures, INSETS)
+
+
 def run(pairs: int = PAIRS) -> dict:
     """Errors, times and gains of every case, and what it takes to trace lamps."""
     cases = {}
@@ -351,6 +432,8 @@ def run(pairs: int = PAIRS) -> dict:
             cases[name][label] = entry = _entry(measured[label], own)
             for kind, values in entry.items():
                 print(f"{name:<28}{label:<14}{kind:<36}{values}", flush=True)
+    draw_gains(cases)
+    draw_pictures()
     return {
         "size": SIZE,
         "spp": SPP,

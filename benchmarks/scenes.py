@@ -8,7 +8,7 @@ from pathlib import Path
 
 import mi_ellipse
 import mitsuba as mi
-from mi_ellipse.plugins.names import AREA, ELLIPSE, ELLIPTICAL_AREA
+from mi_ellipse.plugins.names import AREA, ELLIPSE, ELLIPSOID, ELLIPTICAL_AREA
 from mi_ellipse.rendering.scene import load_scene
 from mi_ellipse.sampling import STRATEGIES
 
@@ -19,6 +19,7 @@ BUILT_IN = "disk + area"
 CONTROL = "disk + area again"
 MESH = "64 triangles + area"
 RECTANGLE = "rectangle + area"
+SOLIDS = "sphere or mesh + area"  # For ellipsoids, the mesh of the shape itself: 20 480 triangles
 
 HALF_SIDE = math.sqrt(math.pi) / 2  # of a square with the area of the unit disk
 SEGMENTS = 64
@@ -131,6 +132,17 @@ def _replace_lamp(props: mi.Properties, kind: str, mesh_file: Path) -> None:
             del props[f"semi_axis_{axis}"]
         to_world = props.get("to_world", mi.ScalarTransform4d())
         _replace_shape(props, kind, to_world @ mi.ScalarTransform4d().scale([*axes, 1]), mesh_file)
+    elif props.plugin_name() == ELLIPSOID:
+        axes = [props.get(f"semi_axis_{axis}", 1.0) for axis in "xyz"]
+        to_world = props.get("to_world", mi.ScalarTransform4d()) @ mi.ScalarTransform4d().scale(
+            axes
+        )
+        mi_ellipse.tessellate(mi_ellipse.Ellipsoid(to_world), 160).write_ply(str(mesh_file))
+        for name in ("to_world", *(f"semi_axis_{axis}" for axis in "xyz")):
+            if name in props:
+                del props[name]
+        props.set_plugin_name("ply")
+        props["filename"] = str(mesh_file)
 
 
 def _replace_shape(

@@ -9,6 +9,7 @@ from .system import llvm
 
 llvm.install()
 
+from .lighting.irradiance import direct_irradiance  # noqa: E402
 from .measures import (  # noqa: E402
     Ellipsoid,
     irradiance,
@@ -24,6 +25,7 @@ registration.install()
 
 __all__ = [
     "Ellipsoid",
+    "direct_irradiance",
     "group_lamps",
     "irradiance",
     "solid_angle",

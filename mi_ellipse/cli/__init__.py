@@ -7,8 +7,9 @@ from typing import Annotated
 import typer
 
 from .. import __version__
-from . import compare, convert, doctor, render, report
+from . import compare, convert, doctor, illuminance, render, report
 from .options import STRATEGIES_HELP
+from .process import plain_log
 
 app = typer.Typer(
     help="Exact elliptical lights for Mitsuba 3.",
@@ -18,6 +19,7 @@ app = typer.Typer(
 )
 app.command("render", epilog=STRATEGIES_HELP)(render.run)
 app.command("compare", epilog=STRATEGIES_HELP)(compare.run)
+app.command("illuminance")(illuminance.run)
 app.command("convert")(convert.run)
 app.command("report")(report.run)
 app.command("doctor")(doctor.run)
@@ -36,6 +38,7 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def _options(
+    context: typer.Context,
     version: Annotated[
         bool,
         typer.Option(
@@ -43,4 +46,5 @@ def _options(
         ),
     ] = False,
 ) -> None:
-    """Take the options that stand before a command."""
+    """Take the options that stand before a command, and set up what all commands share."""
+    context.with_resource(plain_log())

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import mitsuba as mi
 import typer
 from rich.console import Console
 
+from ..rendering.scene import set_variant
 from .options import (
     DEFAULT_VARIANT,
     ConvertLamps,
@@ -78,7 +78,7 @@ def run(
 
         if not grouping:
             strategies = [ungrouped(name) for name in strategies]
-        mi.set_variant(variant)
+        set_variant(variant)
         output.mkdir(parents=True, exist_ok=True)
         with step_bars(console) as progress:
             comparison = compare(

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import mitsuba as mi
 import typer
 
 from ..files import atomic
 from ..rendering.converted_file import write_converted
+from ..rendering.scene import set_variant
 from .options import DEFAULT_VARIANT, Definitions, Variant, parse_definitions
 from .process import one_line_errors
 
@@ -28,7 +28,7 @@ def run(
     """Turn each `area` on a `disk` or `sphere` into an `ellipticalarea`, in a new scene file."""
     parameters = parse_definitions(definitions)
     with one_line_errors():
-        mi.set_variant(variant)
+        set_variant(variant)
         try:
             atomic.check_writable(output)
         except OSError as error:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ..files import atomic
 from ..rendering.job import MAX_SEED, Changes
 from ..rendering.rewrite import BUILT_IN
 from ..sampling import STRATEGIES
@@ -102,13 +103,29 @@ def parse_changes(
     """Return what shall change in the scene."""
     if resolution is None:
         return Changes(convert_lamps, sensor, integrator)
-    parts = resolution.lower().split("x")
-    if len(parts) != 2 or not all(part.isascii() and part.isdecimal() for part in parts):
-        raise typer.BadParameter(f"--resolution takes WxH, such as 640x480, not {resolution!r}")
+    size = parse_size("--resolution", resolution)
     try:
-        return Changes(convert_lamps, sensor, integrator, (int(parts[0]), int(parts[1])))
+        return Changes(convert_lamps, sensor, integrator, size)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
+
+
+def parse_size(option: str, text: str) -> tuple[int, int]:
+    """Return two integers with an x between them."""
+    parts = text.lower().split("x")
+    if len(parts) != 2 or not all(part.isascii() and part.isdecimal() for part in parts):
+        raise typer.BadParameter(f"{option} takes WxH, such as 640x480, not {text!r}")
+    return int(parts[0]), int(parts[1])
+
+
+def check_output(path: Path, suffix: str, what: str) -> None:
+    """Raise a ValueError unless a file of this kind can be written."""
+    if path.suffix.lower() != suffix:
+        raise ValueError(f"{path}: the output is {what}, and its name ends in {suffix}")
+    try:
+        atomic.check_writable(path)
+    except OSError as error:
+        raise ValueError(f"cannot write {path}: {error.strerror or error}") from None
 
 
 def parse_integers(option: str, text: str, length: int | None = None) -> list[int]:

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 from urllib.parse import quote
 
-import mitsuba as mi
 import typer
 from rich.console import Console
 
-from ..files import atomic, images
-from ..rendering import division, provenance
+from ..files import images
+from ..rendering import division, partial, provenance
 from ..rendering.executor import JobExecutor, LocalExecutor
 from ..rendering.job import Plan, Rendering, RenderJob
-from ..rendering.scene import parse_scene
+from ..rendering.passes import Finished, Stop
+from ..rendering.scene import check_scene_file, parse_scene, set_variant
 from .options import (
     DEFAULT_VARIANT,
     ConvertLamps,
@@ -29,11 +30,12 @@ from .options import (
     Seed,
     Variant,
     Workers,
+    check_output,
     parse_changes,
     parse_definitions,
 )
 from .places import interruptible, place
-from .process import one_line_errors
+from .process import INTERRUPTED, interrupt_ends_pass, one_line_errors
 from .progress import passes_bar
 
 ALL = "all"  # Instead of the id of a sensor
@@ -62,16 +64,6 @@ def run(
         bool, typer.Option("--half", help="Store half instead of single precision.")
     ] = False,
     grouping: Grouping = True,
-    pass_spp: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Samples per pixel of a pass. By default there are as few passes as possible, and"
-            f" on a cluster passes of {division.SAMPLES_PER_PASS / 1e6:.0f} million samples.",
-        ),
-    ] = None,
-    scheduler: Scheduler = None,
-    workers: Workers = None,
     convert_lamps: ConvertLamps = False,
     sensor: Annotated[
         str | None,
@@ -83,16 +75,26 @@ def run(
     ] = None,
     integrator: Integrator = None,
     resolution: Resolution = None,
+    keep_partial: Annotated[
+        bool,
+        typer.Option(
+            "--keep-partial",
+            help="Let Ctrl-C end the render after a pass and write what is finished. The same"
+            " command continues it.",
+        ),
+    ] = False,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
     definitions: Definitions = None,
 ) -> None:
     """Render a scene to an OpenEXR file, and a PNG beside it for a quick look."""
     parameters = parse_definitions(definitions)
     changes = parse_changes(convert_lamps, sensor, integrator, resolution)
-    exr = output or Path(scene_file.with_suffix(".exr").name)
 
     with one_line_errors():
-        if exr.suffix.lower() != ".exr":
-            raise ValueError(f"{exr}: the output is an OpenEXR file, and its name ends in .exr")
+        check_scene_file(scene_file)
+        exr = output or Path(f"{scene_file.stem}.exr")
+        check_output(exr, ".exr", "an OpenEXR file")
         job = RenderJob(
             scene_file,
             parameters,
@@ -100,24 +102,22 @@ def run(
             sampling,
             spp,
             seed,
+            short_passes=True,
             grouping=grouping,
             changes=changes,
-            pass_spp=pass_spp,
         )
         jobs = _for_each_sensor(job, exr) if sensor == ALL else {exr: job}
         for file in jobs:
-            _check_writable(file)
-            _check_writable(file.with_suffix(".png"))
+            check_output(file, ".exr", "an OpenEXR file")
+            check_output(file.with_suffix(".png"), ".png", "a PNG")
         with place(scheduler, workers, Console(stderr=True)) as executor:
             for file, one in jobs.items():
-                if pass_spp is None:
-                    one = division.with_passes(one, executor)
-                _make_picture(one, file, half, executor)
+                _make_picture(one, file, half, keep_partial, executor)
 
 
 def _for_each_sensor(job: RenderJob, exr: Path) -> dict[Path, RenderJob]:
     """Return a job for each sensor of a scene, and where its picture goes."""
-    mi.set_variant(job.variant)
+    set_variant(job.variant)
     jobs = {}
     for number, name in enumerate(parse_scene(job.scene, job.parameters).sensors()):
         # An id can hold characters that no file name may.
@@ -131,13 +131,34 @@ def _for_each_sensor(job: RenderJob, exr: Path) -> dict[Path, RenderJob]:
     return jobs
 
 
-def _make_picture(job: RenderJob, exr: Path, half: bool, executor: JobExecutor) -> None:
+def _make_picture(
+    job: RenderJob, exr: Path, half: bool, keep_partial: bool, executor: JobExecutor
+) -> None:
     """Render, write the OpenEXR file and the PNG, and say so."""
     png = exr.with_suffix(".png")
-    with interruptible(executor):
-        rendering = _render(job, executor)
-
+    plan, rendering = _render(job, exr, keep_partial, executor)
     exposure = images.choose_exposure(rendering.image)
+    if rendering.unfinished is not None:
+        partial.write(exr, job, plan, rendering)
+    else:
+        _write_exr(exr, job, rendering, exposure, half)
+    images.write_png(png, rendering.image, exposure)
+    print(
+        f"{exr} and {png} ({exposure:+g} stops): {rendering.spp} spp,"
+        f" {_count(rendering.passes, 'pass', 'passes')}, {rendering.seconds:.1f} s"
+    )
+    if rendering.unfinished is not None:
+        print(
+            f"Interrupted: {rendering.spp} of {plan.spp} samples per pixel are in the file. The"
+            " same command continues from there.",
+            file=sys.stderr,
+        )
+        raise typer.Exit(INTERRUPTED)
+
+
+def _write_exr(
+    exr: Path, job: RenderJob, rendering: Rendering, exposure: float, half: bool
+) -> None:
     settings: images.Metadata = {
         **provenance.describe(job, rendering),
         "png_exposure_stops": exposure,
@@ -147,23 +168,28 @@ def _make_picture(job: RenderJob, exr: Path, half: bool, executor: JobExecutor) 
         print("Stored in single precision: half precision ends at 65504.", file=sys.stderr)
         half = False
     images.write_exr(exr, rendering.image, settings, rendering.channels, half)
-    images.write_png(png, rendering.image, exposure)
-    print(
-        f"{exr} and {png} ({exposure:+g} stops): {rendering.spp} spp,"
-        f" {_count(rendering.passes, 'pass', 'passes')}, {rendering.seconds:.1f} s"
-    )
 
 
-def _render(job: RenderJob, executor: JobExecutor) -> Rendering:
-    """Render with a progress bar, and say what the user would not expect."""
+def _render(
+    job: RenderJob, exr: Path, keep_partial: bool, executor: JobExecutor
+) -> tuple[Plan, Rendering]:
+    """Render what the file does not hold yet, and say what the user would not expect."""
     console = Console(stderr=True)
-    plan = executor.submit(job.plan).result()
-    _announce(job, plan, console)
-    with passes_bar(console, len(plan.sizes)) as progress:
+    with ExitStack() as stack:
+        stack.enter_context(interruptible(executor))
+        plan = executor.submit(job.plan).result()
+        before = partial.read(exr, job, plan)
+        _announce(job, plan, before, executor, console)
+        stop: Stop = lambda: False  # noqa: E731
+        if keep_partial and len(plan.sizes) > 1:
+            stop = stack.enter_context(interrupt_ends_pass(console.print))
+        elif keep_partial:
+            console.print("Rendering in one pass: Ctrl-C ends at once and keeps nothing.")
+        progress = stack.enter_context(passes_bar(console, len(plan.sizes), before.passes))
         if isinstance(executor, LocalExecutor):
-            rendering = executor.submit(job.run, progress).result()
+            rendering = executor.submit(job.run, progress, before, stop).result()
         else:
-            rendering = division.render(job, plan.sizes, executor, progress)
+            rendering = division.render(job, plan.sizes, executor, progress, before, stop)
 
     if rendering.invalid_pixels:
         console.print(
@@ -171,10 +197,14 @@ def _render(job: RenderJob, executor: JobExecutor) -> Rendering:
             " (black in the PNG).",
             style="bold red",
         )
-    return rendering
+    return plan, rendering
 
 
-def _announce(job: RenderJob, plan: Plan, console: Console) -> None:
+def _announce(
+    job: RenderJob, plan: Plan, before: Finished, executor: JobExecutor, console: Console
+) -> None:
+    if before.passes:
+        console.print(f"Continued from {before.spp} of {plan.spp} samples per pixel.")
     if plan.conversion is not None:
         console.print(str(plan.conversion), markup=False, highlight=False, soft_wrap=True)
     if job.changes.sensor is None and len(plan.sensors) > 1:
@@ -187,18 +217,13 @@ def _announce(job: RenderJob, plan: Plan, console: Console) -> None:
         )
     if job.spp is not None and plan.spp != job.spp:
         console.print(f"The scene's sampler makes {plan.spp} samples per pixel of {job.spp}.")
+    if len(plan.sizes) == 1 and not isinstance(executor, LocalExecutor):
+        console.print("Rendering in one pass, which one worker renders.")
     if plan.loses_stratification:
         console.print(
             f"Rendering in {len(plan.sizes)} passes: its samples are less evenly spread, and the"
             " picture a little noisier, than in a single one."
         )
-
-
-def _check_writable(path: Path) -> None:
-    try:
-        atomic.check_writable(path)
-    except OSError as error:
-        raise ValueError(f"cannot write {path}: {error.strerror or error}") from None
 
 
 def _count(number: int, singular: str, plural: str) -> str:

@@ -32,6 +32,8 @@ STRUCTURE = {
 # OpenEXR sorts the channels of a file by name; a picture has them in this order in each layer.
 CHANNEL_ORDER = "RGBXYZA"
 
+SUM = "sum"  # Name of the part that holds the sum behind a picture
+
 Image = NDArray[np.float32]
 Metadata = Mapping[str, str | int | float]
 
@@ -112,6 +114,60 @@ def write_parts(
         for name, image in parts.items()
     ]
     _write(path, OpenEXR.File(made))
+
+
+def write_with_sum(
+    path: str | PathLike[str],
+    image: ArrayLike,
+    total: NDArray[np.float64],
+    metadata: Metadata,
+    channels: tuple[str, ...],
+) -> None:
+    """
+    Write a picture with the sum that it was made from, to the last bit.
+
+    OpenEXR knows no double precision. So the file has a second part, whose channels are pairs of
+    integers. Programs that read one part see the picture alone.
+
+    Parameters
+    ----------
+    path, image, metadata, channels
+        See :func:`write_exr`.
+    total
+        Array of the shape of `image`.
+    """
+    bits = np.ascontiguousarray(total).view(np.uint32).reshape(*total.shape, 2)
+    words = {
+        f"{name}.{word}": np.ascontiguousarray(bits[..., i, word])
+        for i, name in enumerate(channels)
+        for word in (0, 1)
+    }
+    parts = [
+        OpenEXR.Part(_header(metadata), _pixels(image, channels, False), "picture"),
+        OpenEXR.Part(_header(None), words, SUM),
+    ]
+    _write(path, OpenEXR.File(parts))
+
+
+def read_sum(path: str | PathLike[str], channels: tuple[str, ...]) -> NDArray[np.float64]:
+    """
+    Return the sum that :func:`write_with_sum` has written.
+
+    Raises
+    ------
+    ValueError
+        If the file holds none, or has other channels.
+    OSError
+        If it cannot be read.
+    """
+    for part in _open(path).parts:
+        if part.name() == SUM and len(part.channels) == 2 * len(channels):
+            words = [
+                [part.channels[f"{name}.{word}"].pixels for word in (0, 1)] for name in channels
+            ]
+            bits = np.moveaxis(np.array(words, dtype=np.uint32), (0, 1), (-2, -1))
+            return np.ascontiguousarray(bits).view(np.float64)[..., 0]
+    raise ValueError(f"{path}: the file holds no sum of the channels {', '.join(channels)}")
 
 
 def fits_half(image: ArrayLike) -> bool:

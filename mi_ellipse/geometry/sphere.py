@@ -91,6 +91,11 @@ class Sphere(Ball):
         """Return the view of the light from a world-space point."""
         return SphereView(self, self.light_coordinates(point))
 
+    @property
+    def area(self) -> mi.Float:
+        """Surface area in world units."""
+        return 4 * dr.pi * dr.square(self.lx)
+
     def light_coordinates(self, reference: mi.Point3f) -> mi.Vector3d:
         """Vector from a world-space point to the centre in units of the radius."""
         return mi.Vector3d((mi.Point3d(self.centre) - mi.Point3d(reference)) * self.inv_lx)

@@ -6,27 +6,16 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from ..geometry.cone import coarse_root
 from ..geometry.tracing import TINY, table, take
+from .records import Shapes
 
 # Weight of the light on the far side of the geometric normal. The emitter does not know which side
 # of a surface is seen. A lamp that only lights the side that is not seen takes samples in vain; a
 # lamp that lights the far side, which is seen, needs some. With 1/4, a surface seen from its far
 # side has at most four times the variance of the choice that it would have from the near one.
 FAR_SIDE = 0.25
-
-
-def proportions(fields: dict[str, np.ndarray]) -> tuple[float, float, float]:
-    """Longest semi-axis, and the middle and shortest over it, from the fields of a stored light.
-
-    Those of a sphere have only the first, those of an ellipse lack the last, which is 0.
-    """
-    sphere = "ratio" not in fields
-    ratio = 1.0 if sphere else float(fields["ratio"][0])
-    flatness = float(fields["flatness"][0]) if "flatness" in fields else float(sphere)
-    return float(fields["lx"][0]), ratio, flatness
 
 
 @dataclass
@@ -46,23 +35,16 @@ class Outlines:
     z2: mi.Float
 
     @classmethod
-    def of(cls, fields: list[dict[str, np.ndarray]]) -> Outlines:
-        """Take what is needed from the fields of stored lights."""
-        ex, ey, centre = (
-            np.array([light[name] for light in fields], dtype=float)
-            for name in ("ex", "ey", "centre")
-        )
-        lx, ratio, flatness = (
-            np.array(values) for values in zip(*map(proportions, fields), strict=True)
-        )
+    def of(cls, shapes: Shapes) -> Outlines:
+        """Take what is needed of the lights."""
         return cls(
-            centre=table(mi.Point3f, centre.T),
-            x=table(mi.Vector3f, ex.T / lx),
-            y=table(mi.Vector3f, ey.T / lx),
-            z=table(mi.Vector3f, np.cross(ex, ey).T / lx),
-            lx=table(mi.Float, lx),
-            y2=table(mi.Float, ratio**2),
-            z2=table(mi.Float, flatness**2),
+            centre=table(mi.Point3f, shapes.centre.T),
+            x=table(mi.Vector3f, shapes.ex.T / shapes.lx),
+            y=table(mi.Vector3f, shapes.ey.T / shapes.lx),
+            z=table(mi.Vector3f, shapes.normal.T / shapes.lx),
+            lx=table(mi.Float, shapes.lx),
+            y2=table(mi.Float, shapes.ratio**2),
+            z2=table(mi.Float, shapes.flatness**2),
         )
 
     def irradiance(self, slot: mi.UInt32, point: mi.Point3f, normal: mi.Normal3f) -> mi.Float:

@@ -20,6 +20,7 @@ from ..geometry.tracing import table, take
 from . import choice
 from .choice import Choice, Members, rescaled
 from .estimate import FAR_SIDE
+from .records import Shapes
 
 LEAF = 2  # slots of a leaf
 
@@ -130,24 +131,14 @@ def _clipped_mean(mean: mi.Float, variance: mi.Float) -> mi.Float:
 # ---- Building ----
 
 
-@dataclass(frozen=True)
-class Lights:
-    """What the tree needs of lamps, in NumPy and world space, a row each."""
-
-    centre: np.ndarray  # (n, 3)
-    normal: np.ndarray  # (n, 3), unit
-    all_around: np.ndarray  # (n,), True for a lamp that shines in all directions
-    radius: np.ndarray  # (n,), longest semi-axis
-    power: np.ndarray  # (n,), radiance times area times sampling weight
-
-
-def arrange(lights: Lights) -> np.ndarray:
+def arrange(shapes: Shapes) -> np.ndarray:
     """Slots of the lamps: an array with the row of a lamp in each slot, -1 in empty ones.
 
     Halves of the lamps are separated at the median along the longest extent of their centres, or of
     their normals where those differ more.
     """
-    count = len(lights.power)
+    count = len(shapes.lx)
+    normal = shapes.normal
     size = LEAF
     while size < count:
         size *= 2
@@ -158,8 +149,8 @@ def arrange(lights: Lights) -> np.ndarray:
         if width == LEAF:
             slots[start : start + len(rows)] = rows
             continue
-        extent = np.ptp(lights.centre[rows], axis=0).max()
-        keys = np.concatenate([lights.centre[rows], 0.5 * extent * lights.normal[rows]], axis=1)
+        extent = np.ptp(shapes.centre[rows], axis=0).max()
+        keys = np.concatenate([shapes.centre[rows], 0.5 * extent * normal[rows]], axis=1)
         rows = rows[np.argsort(keys[:, np.ptp(keys, axis=0).argmax()], kind="stable")]
         half = (len(rows) + 1) // 2
         pending.append((rows[:half], start, width // 2))
@@ -167,13 +158,23 @@ def arrange(lights: Lights) -> np.ndarray:
     return slots
 
 
-def build(lights: Lights, slots: np.ndarray) -> Tree:
-    """Nodes over the arranged lamps, of two leaves at least, from the leaves upwards."""
+def build(shapes: Shapes, planar: np.ndarray, brightness: np.ndarray, slots: np.ndarray) -> Tree:
+    """Nodes over the arranged lamps, of two leaves at least, from the leaves upwards.
+
+    Parameters
+    ----------
+    shapes, planar, brightness
+        The lamps; which of them shine to one side; their radiances times sampling weights.
+    slots
+        The result of `arrange`.
+    """
+    # What a solid shows of itself is about as large as its largest cross section.
+    power = brightness * np.pi * shapes.lx**2 * shapes.ratio
     there = slots >= 0
-    power = np.where(there, lights.power[slots], 0.0)
-    centre, normal = lights.centre[slots], lights.normal[slots]
-    radius = np.where(there, lights.radius[slots], 0.0)
-    all_around = there & lights.all_around[slots]
+    power = np.where(there, power[slots], 0.0)
+    centre, normal = shapes.centre[slots], shapes.normal[slots]
+    radius = np.where(there, shapes.lx[slots], 0.0)
+    all_around = there & ~planar[slots]
     levels = []
     width = LEAF
     while width < len(slots):

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry import ellipse, ellipsoid, mesh, sphere
+from ..geometry import ellipse, ellipsoid, limits, mesh, sphere
 from ..geometry.light import Light
 from ..lamps.lamp import Lamp
 from .names import DISK, ELLIPSE, ELLIPSOID, ELLIPTICAL_AREA, SPHERE
@@ -39,8 +39,8 @@ class Attachment:
         Raises
         ------
         ValueError
-            Without a shape, if the shape is no light of this package, or if the strategy cannot
-            sample one like it.
+            Without a shape, if the shape is no light of this package, if its size is beyond single
+            precision, or if the strategy cannot sample one like it.
         """
         try:
             light = _light(shape)
@@ -74,6 +74,17 @@ def attach(shape: mi.Shape) -> None:
     emitter = shape.emitter()
     if isinstance(getattr(emitter, "attachment", None), Attachment):
         emitter.attachment.attach(shape)
+
+
+def attach_all(scene: mi.Scene) -> None:
+    """Attach the emitters of a scene that would wait for their first use, as on a plain `disk`.
+
+    Errors are those of `Attachment.attach`.
+    """
+    for emitter in scene.emitters():
+        attachment = getattr(emitter, "attachment", None)
+        if isinstance(attachment, Attachment) and attachment.lamp.stored is None:
+            attachment.attach(emitter.get_shape())
 
 
 def _misplaced(what: str) -> str:
@@ -110,15 +121,16 @@ def _area(shape: mi.Shape, light: Light) -> mi.Float:
 
 
 def _of_disk(shape: mi.Shape) -> Light:
-    return ellipse.from_transform(dr.detach(_parameter(shape, "to_world")))
+    to_world = dr.detach(_parameter(shape, "to_world"))
+    limits.check_ellipse(_entries(to_world))
+    return ellipse.from_transform(to_world)
 
 
 def _of_sphere(shape: mi.Shape) -> Light:
     """Sphere; Mitsuba has made the transform a similarity."""
-    matrix = dr.detach(_parameter(shape, "to_world")).matrix
-    # Entry by entry: in one piece, Dr.Jit cannot evaluate them while it traces a render.
-    rows = [[np.array(matrix[i, k]).item() for k in range(4)] for i in range(4)]
-    light = sphere.from_transform(mi.ScalarAffineTransform4d(rows))
+    matrix = _entries(dr.detach(_parameter(shape, "to_world")))
+    limits.check_solid(matrix)
+    light = sphere.from_transform(mi.ScalarAffineTransform4d(matrix))
     # The transform does not tell what `flip_normals` and mirrors do to the normals.
     it = mi.Interaction3f()
     it.p = mi.Point3f(light.centre) + 2 * light.lx
@@ -147,8 +159,18 @@ def _of_mesh(shape: mi.Mesh) -> Light:
             f"a sphere: they miss the nearest ellipsoid by {missed:.1g} of its size, and may by "
             f"{MESH_ERROR:g}"
         )
+    limits.check_solid(matrix)
     kind = sphere if sphere.is_sphere(matrix[:3, :3]) else ellipsoid
     return kind.from_transform(mi.ScalarAffineTransform4d(matrix))
+
+
+def _entries(to_world: Any) -> np.ndarray:
+    """4×4 matrix of a transform that is known, also while Dr.Jit traces or records.
+
+    Entry by entry: in one piece, Dr.Jit would have to run a kernel, which it cannot do then.
+    """
+    entries = [to_world.matrix[i, j] for i in range(4) for j in range(4)]
+    return np.array([np.array(entry).item() for entry in entries], dtype=float).reshape(4, 4)
 
 
 def _affine_map(known: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, float]:

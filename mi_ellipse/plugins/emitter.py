@@ -189,9 +189,10 @@ def _lamp(props: mi.Properties) -> Lamp:
             f"{ELLIPTICAL_AREA}: {RADIANCE} and {POWER} are both given; leave one of them out, a "
             "lamp has the radiance power / (π area)"
         )
-    if is_power:
-        _check_power(props[POWER])
-    emission = props.get_emissive_texture(POWER if is_power else RADIANCE, 1.0)
+    name = POWER if is_power else RADIANCE
+    if name in props:
+        _check_numbers(name, props[name])
+    emission = props.get_emissive_texture(name, 1.0)
     if is_power and emission.is_spatially_varying():
         raise ValueError(
             f"{ELLIPTICAL_AREA}: {POWER} must be a number, an RGB colour or a spectrum; a texture "
@@ -206,14 +207,14 @@ def _lamp(props: mi.Properties) -> Lamp:
     return Lamp(emission, sampling, is_power)
 
 
-def _check_power(given: Any) -> None:
-    """Refuse numbers that are no power; an object has parameters of its own."""
-    if isinstance(given, mi.Object):
+def _check_numbers(name: str, given: Any) -> None:
+    """Refuse numbers that are no light; Mitsuba looks at objects and texts itself."""
+    if isinstance(given, mi.Object | str):
         return
     values = np.ravel(np.array(getattr(given, "values", given), dtype=float))
     if not (np.isfinite(values).all() and (values >= 0).all()):
         numbers = ", ".join(f"{value:g}" for value in values)
-        raise ValueError(f"{ELLIPTICAL_AREA}: {POWER}={numbers} must be finite and not negative")
+        raise ValueError(f"{ELLIPTICAL_AREA}: {name}={numbers} must be finite and not negative")
 
 
 def _base(emitter: EllipticalArea) -> mi.Emitter:

@@ -5,33 +5,22 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from contextlib import closing
+
+import numpy as np
 
 from . import passes
-from .executor import JobExecutor, LocalExecutor
 from .job import RenderJob
-from .passes import Average, Progress, Rendering, Timing
+from .passes import NO_TIME, NOTHING, Finished, Progress, Rendering, Stop
 
-# Of a pass, where passes are jobs: some seconds on a few processor cores. No more is lost when a
-# worker dies or a run is interrupted.
+# Of a pass of a reference: some seconds on a few processor cores. No more is lost when a worker
+# dies or a run is interrupted.
 SAMPLES_PER_PASS = 2**24
 
 
-def with_passes(job: RenderJob, executor: JobExecutor) -> RenderJob:
-    """
-    Return a job with passes of :data:`SAMPLES_PER_PASS` samples or less.
-
-    Their size depends on the picture alone, so that all clusters give the same one. This process
-    needs no more passes than the job has.
-    """
-    if isinstance(executor, LocalExecutor):
-        return job
-    width, height = executor.submit(job.plan).result().film_size
-    return dataclasses.replace(job, pass_spp=pass_size(width * height))
-
-
-def pass_size(pixels: int, samples: int | None = None) -> int:
-    """Return samples per pixel of a pass with :data:`SAMPLES_PER_PASS`, or `samples`, at most."""
-    return passes.repeatable_size(max(1, (samples or SAMPLES_PER_PASS) // pixels))
+def pass_size(pixels: int, samples: int = SAMPLES_PER_PASS) -> int:
+    """Return samples per pixel of a pass with so many samples, or less, that can be repeated."""
+    return passes.repeatable_size(max(1, samples // pixels))
 
 
 def divide(job: RenderJob, sizes: Sequence[int]) -> list[RenderJob]:
@@ -47,25 +36,34 @@ def divide(job: RenderJob, sizes: Sequence[int]) -> list[RenderJob]:
     """
     seeds = passes.pass_seeds(job.seed, len(sizes))
     return [
-        dataclasses.replace(job, spp=size, seed=seed, pass_spp=size, warm_up=False)
+        dataclasses.replace(
+            job, spp=size, seed=seed, warm_up=False, short_passes=False, repeatable=True
+        )
         for size, seed in zip(sizes, seeds, strict=True)
     ]
 
 
 def render(
-    job: RenderJob, sizes: Sequence[int], executor: Executor, progress: Progress | None = None
+    job: RenderJob,
+    sizes: Sequence[int],
+    executor: Executor,
+    progress: Progress | None = None,
+    before: Finished = NOTHING,
+    stop: Stop = lambda: False,
 ) -> Rendering:
     """
     Render the passes of a job as jobs of their own.
 
     The picture is that of ``job.run()`` bit for bit, wherever the passes are rendered and whichever
-    ends first, where each pass has the same bits everywhere: the job has a `pass_spp`, and the film
-    a box filter or each process one thread.
+    ends first, where each pass has the same bits everywhere, see
+    :func:`mi_ellipse.rendering.passes.repeatable_threads`.
 
     Parameters
     ----------
-    job, sizes, progress
-        See :func:`divide` and :meth:`RenderJob.run`.
+    job, progress, before, stop
+        See :meth:`RenderJob.run`.
+    sizes
+        See :func:`divide`.
     executor
         Where the passes are rendered.
 
@@ -73,25 +71,35 @@ def render(
     -------
     Rendering
         Its times are sums over the passes, and its machines those that rendered one.
+
+    Raises
+    ------
+    ValueError
+        If nothing is left to render.
     """
-    average, parts = Average(), []
-    jobs = divide(job, sizes)
-    for done, part in enumerate(executor.map(RenderJob.run, jobs), start=1):
-        average.add(part.image, part.spp)
-        # Pictures would fill the memory.
-        parts.append(dataclasses.replace(part, image=part.image[:0]))
-        if progress is not None:
-            progress(done, len(jobs))
+    passes.check_continuation(sizes, before)
+    jobs = divide(job, sizes)[before.passes :]
+    if not jobs:
+        raise ValueError(f"spp={before.spp}: all samples per pixel are finished already")
+    total, timing, done, machines = before.total, NO_TIME, before.passes, set()
+    with closing(executor.map(RenderJob.run, jobs)) as parts:  # type: ignore[type-var]
+        for part in parts:
+            total = total + part.spp * part.image.astype(np.float64)
+            timing = timing + part.timing
+            machines.add(part.machine)
+            done += 1
+            if progress is not None:
+                progress(done, len(sizes))
+            if done < len(sizes) and stop():
+                break
+    finished = Finished(total, sum(sizes[:done]), done, before.seconds + timing.total)
     return dataclasses.replace(
-        parts[0],
-        image=average.image(),
-        spp=sum(part.spp for part in parts),
-        passes=sum(part.passes for part in parts),
-        timing=_sum([part.timing for part in parts]),
-        machine=", ".join(sorted({part.machine for part in parts})),
+        part,
+        image=np.asarray(total / finished.spp, dtype=np.float32),
+        spp=finished.spp,
+        passes=done,
+        timing=timing,
+        machine=", ".join(sorted(machines)),
+        unfinished=finished if done < len(sizes) else None,
+        seconds_before=before.seconds,
     )
-
-
-def _sum(timings: Sequence[Timing]) -> Timing:
-    rows = [dataclasses.astuple(timing) for timing in timings]
-    return Timing(*(sum(column) for column in zip(*rows, strict=True)))

@@ -16,13 +16,14 @@ import mitsuba as mi
 from ..plugins.grouping import group_lamps
 from . import passes, provenance
 from .changes import UNCHANGED, Changes
-from .passes import Progress, Rendering, Timing
+from .passes import MAX_SAMPLES_PER_PASS, NOTHING, Finished, Progress, Rendering, Stop, Timing
 from .rewrite import Conversion
 from .scene import ParsedScene, instantiate, parse_scene, under_variant
 
 __all__ = ["Changes", "Parameters", "Plan", "RenderJob", "Rendering", "Stage", "Timing"]
 
 MAX_SEED = 2**32 - 1
+MAX_SPP = 2**32 - 1  # that a sampler of Mitsuba can count
 
 
 class Parameters(Mapping[str, str]):
@@ -54,6 +55,7 @@ class Plan:
     sizes: tuple[int, ...]  # samples per pixel of each pass
     film_size: tuple[int, int]  # width and height in pixels, of the part that is rendered
     loses_stratification: bool  # the passes are noisier together than a single one
+    scene_digest: str  # see `provenance.scene_digest`
     conversion: Conversion | None = None  # what became of built-in lamps, where a job converts them
     sensors: tuple[str, ...] = ()  # of the scene, by id or number
 
@@ -75,7 +77,7 @@ class RenderJob:
     Raises
     ------
     ValueError
-        If `spp`, `seed` or `pass_spp` is impossible.
+        If `spp` or `seed` is impossible.
     """
 
     scene: Path  # XML file
@@ -90,30 +92,32 @@ class RenderJob:
     warm_up: bool = False
     grouping: bool = True  # Two or more lamps choose among themselves; False: Mitsuba's choice
     changes: Changes = UNCHANGED  # Of lamps, sensor, integrator and resolution
-    # Samples per pixel of each pass but the last, which are then the same bit for bit each time if
-    # the film has a box filter. None: as few passes as possible
-    pass_spp: int | None = None
+    short_passes: bool = False  # of about a second each, see `passes.plan_passes`
+    repeatable: bool = False  # to the bit, with fewer threads where needed, see `passes.render`
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", Path(self.scene))
         object.__setattr__(self, "parameters", Parameters(self.parameters))
-        if self.spp is not None and self.spp < 1:
-            raise ValueError(f"spp={self.spp}: a picture needs at least 1 sample per pixel")
-        if self.pass_spp is not None and self.pass_spp < 1:
-            raise ValueError(f"pass_spp={self.pass_spp}: a pass needs at least 1 sample per pixel")
+        if self.spp is not None and not 1 <= self.spp <= MAX_SPP:
+            raise ValueError(f"spp={self.spp}: samples per pixel are from 1 to {MAX_SPP}")
         if not 0 <= self.seed <= MAX_SEED:
             raise ValueError(f"seed={self.seed}: a seed lies from 0 to {MAX_SEED}")
 
     def plan(self) -> Plan:
         """Load the scene, if it is not there yet, and tell how the job will be rendered."""
         with _staged(self) as loaded:
-            sizes = passes.plan_passes(loaded.scene, self.spp, pass_spp=self.pass_spp)
+            sizes = passes.plan_passes(loaded.scene, self.spp, short=self.short_passes)
             width, height = loaded.scene.sensors()[0].film().crop_size()
             loses = passes.loses_stratification(loaded.scene, len(sizes))
             size = int(width), int(height)
-            return Plan(sizes, size, loses, loaded.conversion, loaded.sensors)
+            return Plan(sizes, size, loses, loaded.digest, loaded.conversion, loaded.sensors)
 
-    def run(self, progress: Progress | None = None) -> Rendering:
+    def run(
+        self,
+        progress: Progress | None = None,
+        before: Finished = NOTHING,
+        stop: Stop = lambda: False,
+    ) -> Rendering:
         """
         Render; errors are those of :func:`mi_ellipse.rendering.scene.load_scene` and of Mitsuba.
 
@@ -121,6 +125,10 @@ class RenderJob:
         ----------
         progress
             Called after each pass with the number of passes done and their total.
+        before
+            Passes of the same job that are finished already.
+        stop
+            Asked after each pass whether the render shall end there.
 
         Raises
         ------
@@ -130,9 +138,16 @@ class RenderJob:
         with _staged(self) as loaded:
             if self.warm_up and loaded.warm_up is None:
                 loaded.warm_up = passes.render(loaded.scene, self.spp, self.seed).timing
-            limit = passes.MAX_SAMPLES_PER_PASS
             rendering = passes.render(
-                loaded.scene, self.spp, self.seed, progress, limit, self.pass_spp
+                loaded.scene,
+                self.spp,
+                self.seed,
+                progress,
+                MAX_SAMPLES_PER_PASS,
+                self.short_passes,
+                before,
+                stop,
+                self.repeatable,
             )
             return dataclasses.replace(
                 rendering,

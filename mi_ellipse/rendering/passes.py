@@ -1,4 +1,4 @@
-"""Render a scene in as few passes as possible, and tell where the time went."""
+"""Render a scene in passes, which can be stopped and continued, and tell where the time went."""
 
 # Types such as `mi.Scene` exist only once a variant is set.
 from __future__ import annotations
@@ -8,6 +8,7 @@ import time
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import drjit as dr
@@ -26,9 +27,19 @@ MAX_SAMPLES_PER_PASS = 2**32 - 1
 # (`LLVMThreadState::launch` in drjit-core)
 BLOCK = 2**14
 
+# Twelve days where a pass takes a second; more would fill the memory with plans.
+MAX_PASSES = 2**20
+
+# Samples of a pass of about a second: 0.3 to 3 million samples a second and core were measured
+# under LLVM. The number does not follow the time that passes take, since a seed shall give the same
+# picture on every machine.
+SHORT_PASS = {"llvm": 2**22, "cuda": 2**26, "scalar": 2**18}
 
 # Called after each pass with the number of passes done and their total
 Progress = Callable[[int, int], None]
+
+# Asked after each pass whether the render shall end there
+Stop = Callable[[], bool]
 
 
 @dataclass(frozen=True)
@@ -39,6 +50,30 @@ class Timing:
     tracing: float  # Python, and Dr.Jit writing the kernel
     compilation: float  # by LLVM or CUDA; zero where the kernel was known
     execution: float  # of the kernels
+
+    def __add__(self, other: Timing) -> Timing:
+        return Timing(
+            self.total + other.total,
+            self.tracing + other.tracing,
+            self.compilation + other.compilation,
+            self.execution + other.execution,
+        )
+
+
+NO_TIME = Timing(0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Finished:
+    """The passes of a render that are finished."""
+
+    total: NDArray[np.float64]  # (height, width, channels), each pass times its samples per pixel
+    spp: int = 0
+    passes: int = 0
+    seconds: float = 0.0  # that they took
+
+
+NOTHING = Finished(np.zeros(()))
 
 
 @dataclass(frozen=True)
@@ -52,12 +87,14 @@ class Rendering:
     timing: Timing
     warm_up: Timing | None = None  # of the render beforehand, where a job asked for one
     scene_digest: str = ""  # of the scene that was loaded for a job
+    unfinished: Finished | None = None  # where the render was stopped before its end
+    seconds_before: float = 0.0  # of the passes that an earlier render had finished
     machine: str = ""  # that rendered a job, or several of them with commas between
 
     @property
     def seconds(self) -> float:
-        """Time of the render, without that of loading the scene and of a warm-up."""
-        return self.timing.total
+        """Time of all passes, without that of loading the scene and of a warm-up."""
+        return self.seconds_before + self.timing.total
 
     @property
     def invalid_pixels(self) -> int:
@@ -65,31 +102,14 @@ class Rendering:
         return int(np.count_nonzero(~np.isfinite(self.image).all(axis=2)))
 
 
-class Average:
-    """Mean of passes, weighted by their samples; its digits depend on their order alone."""
-
-    def __init__(self) -> None:
-        self._total: Any = 0.0
-        self._spp = 0
-
-    def add(self, image: Any, spp: int) -> None:
-        """Add a picture, of whatever type NumPy can read, that was made with so many samples."""
-        self._total = self._total + spp * np.array(image, dtype=np.float64)
-        self._spp += spp
-
-    def image(self) -> NDArray[np.float32]:
-        """Return the mean of what was added."""
-        return np.asarray(self._total / self._spp, dtype=np.float32)
-
-
 def plan_passes(
     scene: mi.Scene,
     spp: int | None = None,
     max_samples: int = MAX_SAMPLES_PER_PASS,
-    pass_spp: int | None = None,
+    short: bool = False,
 ) -> tuple[int, ...]:
     """
-    Split a number of samples per pixel into passes.
+    Split a number of samples per pixel into as few passes as possible, or into short ones.
 
     Parameters
     ----------
@@ -98,21 +118,32 @@ def plan_passes(
     spp
         Wanted samples per pixel; None takes the scene's own number.
     max_samples
-        Largest number of samples (pixels × samples per pixel) in one pass; scalar variants have no
-        limit.
-    pass_spp
-        Wanted samples per pixel of a pass; None makes as few passes as possible.
+        Largest number of samples (pixels × samples per pixel) in one pass.
+    short
+        Take passes of about a second where that makes no difference to the noise: with the sampler
+        ``independent``. Their sizes do not depend on `spp`, but for the last one.
 
     Returns
     -------
     tuple of int
         Samples per pixel of each pass, all equal but the last. Their sum exceeds `spp` where the
         sampler rounds up, as ``stratified`` does to squares.
+
+    Raises
+    ------
+    ValueError
+        If the film is too large for a pass, or the passes are too many.
     """
     sensor = _sensor(scene)
     sampler = sensor.sampler()
     spp = sampler.sample_count() if spp is None else spp
-    limit = max_samples // _count_pixels(sensor.film()) if _is_vectorized() else spp**2
+    pixels = _count_pixels(sensor.film())
+    if short and _is_independent(sampler):
+        return _short_passes(spp, pixels)
+    if not _is_vectorized():
+        return (_feasible_count(sampler, spp),)
+
+    limit = max_samples // pixels
     if limit == 0:
         raise ValueError(f"one sample for every pixel is more than {max_samples} samples")
 
@@ -120,10 +151,27 @@ def plan_passes(
     counts = range(1, min(spp, limit) + 1)
     largest = bisect_right(counts, limit, key=lambda count: _feasible_count(sampler, count)) or 1
     passes = math.ceil(spp / _feasible_count(sampler, largest))
-    wanted = math.ceil(spp / passes) if pass_spp is None else min(pass_spp, largest, spp)
-    size = _feasible_count(sampler, wanted)
+    size = _feasible_count(sampler, math.ceil(spp / passes))
     passes = math.ceil(spp / size)
+    check_pass_count(spp, passes)
     return (size,) * (passes - 1) + (_feasible_count(sampler, spp - size * (passes - 1)),)
+
+
+def _short_passes(spp: int, pixels: int) -> tuple[int, ...]:
+    backend = (mi.variant() or "").partition("_")[0]
+    size = repeatable_size(max(1, SHORT_PASS[backend] // pixels))
+    full, rest = divmod(spp, size)
+    check_pass_count(spp, full + 1)
+    return (size,) * full + ((rest,) if rest else ())
+
+
+def check_pass_count(spp: int, passes: int) -> None:
+    """Raise a ValueError for a number of passes that nobody can wait for."""
+    if passes > MAX_PASSES:
+        raise ValueError(
+            f"spp={spp}: so many samples per pixel need {passes} passes, and at most {MAX_PASSES}"
+            " are possible; take fewer, or a smaller picture"
+        )
 
 
 def repeatable_size(spp: int) -> int:
@@ -147,7 +195,7 @@ def repeatable_threads(scene: mi.Scene, spp: int) -> int:
 
 def loses_stratification(scene: mi.Scene, passes: int) -> bool:
     """Tell whether rendering in `passes` passes is noisier than in one, for the scene's sampler."""
-    return passes > 1 and _sensor(scene).sampler().class_name() != "IndependentSampler"
+    return passes > 1 and not _is_independent(_sensor(scene).sampler())
 
 
 def render(
@@ -156,7 +204,10 @@ def render(
     seed: int = 0,
     progress: Progress | None = None,
     max_samples: int = MAX_SAMPLES_PER_PASS,
-    pass_spp: int | None = None,
+    short: bool = False,
+    before: Finished = NOTHING,
+    stop: Stop = lambda: False,
+    repeatable: bool = False,
 ) -> Rendering:
     """
     Render the first sensor of a scene and average the passes.
@@ -169,44 +220,95 @@ def render(
     ----------
     scene
         Loaded scene with a sensor and an integrator.
-    spp, max_samples, pass_spp
-        See :func:`plan_passes`. With `pass_spp`, passes have as many threads as give the same
-        bits each time, see :func:`repeatable_threads`.
+    spp, max_samples, short
+        See :func:`plan_passes`.
     seed
         From 0 to 2³² - 1. Further passes derive theirs from it.
     progress
         Called after each pass with the number of passes done and their total.
+    before
+        Passes of the same render that are finished already. The picture is the one that a render
+        without a break gives, to the bit where Mitsuba adds up the samples in a fixed order.
+    stop
+        Asked after each pass but the last. If it says yes, the picture holds what is finished.
+    repeatable
+        Take no more threads for a pass than give the same bits each time, see
+        :func:`repeatable_threads`.
     """
-    sizes = plan_passes(scene, spp, max_samples, pass_spp)
+    sizes = plan_passes(scene, spp, max_samples, short)
+    check_continuation(sizes, before)
+    finished, timing = _add_passes(scene, sizes, seed, progress, before, stop, repeatable)
+    image = np.asarray(finished.total / finished.spp, dtype=np.float32)
+    return Rendering(
+        image,
+        _channel_names(scene, image.shape[2]),
+        finished.spp,
+        finished.passes,
+        timing,
+        unfinished=finished if finished.passes < len(sizes) else None,
+        seconds_before=before.seconds,
+    )
+
+
+def check_continuation(sizes: Sequence[int], before: Finished) -> None:
+    """Raise a ValueError unless a render in passes of these sizes begins with those before."""
+    if before.spp > sum(sizes):
+        raise ValueError(
+            f"spp={sum(sizes)}: {before.spp} samples per pixel are finished already; take as many,"
+            " or more"
+        )
+    if before.spp != sum(sizes[: before.passes]):
+        raise ValueError(
+            f"spp={sum(sizes)}: {before.spp} samples per pixel are finished, in passes of another"
+            " size; take as many samples as the render that was interrupted"
+        )
+
+
+def _add_passes(
+    scene: mi.Scene,
+    sizes: Sequence[int],
+    seed: int,
+    progress: Progress | None,
+    before: Finished,
+    stop: Stop,
+    repeatable: bool,
+) -> tuple[Finished, Timing]:
+    """Render the passes that are missing, and add them, weighted by their samples."""
+    # `dr.freeze` cannot record Mitsuba's spectral variants: they use tables that no argument holds.
+    recorded = len(sizes) - before.passes > 1 and _is_vectorized() and not mi.is_spectral
+    render_pass = dr.freeze(_render_pass) if recorded else _render_pass
+
+    seeds = pass_seeds(seed, len(sizes))
+    total, timing, done = before.total, NO_TIME, before.passes
+    for size, pass_seed in islice(zip(sizes, seeds, strict=True), before.passes, None):
+        with use_threads(repeatable_threads(scene, size) if repeatable else dr.thread_count()):
+            image, seconds = _timed(render_pass, scene, dr.opaque(mi.UInt32, pass_seed), size)
+        total = total + size * image.astype(np.float64)
+        timing = timing + seconds
+        done += 1
+        if progress is not None:
+            progress(done, len(sizes))
+        if done < len(sizes) and stop():
+            break
+    seconds_of_all = before.seconds + timing.total
+    return Finished(total, sum(sizes[:done]), done, seconds_of_all), timing
+
+
+def _timed(
+    render_pass: Callable[[mi.Scene, mi.UInt32, int], mi.TensorXf],
+    scene: mi.Scene,
+    seed: mi.UInt32,
+    spp: int,
+) -> tuple[NDArray[np.float32], Timing]:
+    """Render a pass, and measure it."""
     # The history of the kernels tells their times. It costs none: interleaved renders of 16 ms took
     # 1.004 times as long with it.
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
         dr.kernel_history_clear()
         start = time.perf_counter()
-        image = _average(scene, sizes, seed, progress, pass_spp is not None)
+        image = np.array(render_pass(scene, seed, spp))
         seconds = time.perf_counter() - start
-        timing = _split_time(seconds, dr.kernel_history())
-    return Rendering(image, _channel_names(scene, image.shape[2]), sum(sizes), len(sizes), timing)
-
-
-def _average(
-    scene: mi.Scene, sizes: Sequence[int], seed: int, progress: Progress | None, repeatable: bool
-) -> NDArray[np.float32]:
-    """Render a pass of each size, and average them weighted by their samples."""
-    # `dr.freeze` cannot record Mitsuba's spectral variants: they use tables that no argument holds.
-    recorded = len(sizes) > 1 and not mi.is_spectral
-    render_pass = dr.freeze(_render_pass) if recorded else _render_pass
-
-    average = Average()
-    seeds = pass_seeds(seed, len(sizes))
-    for done, (size, pass_seed) in enumerate(zip(sizes, seeds, strict=True), start=1):
-        threads = repeatable_threads(scene, size) if repeatable else dr.thread_count()
-        with use_threads(threads):
-            image = render_pass(scene, dr.opaque(mi.UInt32, pass_seed), size)
-            average.add(image, size)
-        if progress is not None:
-            progress(done, len(sizes))
-    return average.image()
+        return image, _split_time(seconds, dr.kernel_history())
 
 
 def _split_time(seconds: float, history: Sequence[Mapping[str, Any]]) -> Timing:
@@ -250,6 +352,11 @@ def _count_pixels(film: mi.Film) -> int:
     border = 2 * film.rfilter().border_size() if film.sample_border() else 0
     width, height = film.crop_size()
     return (int(width) + border) * (int(height) + border)
+
+
+def _is_independent(sampler: mi.Sampler) -> bool:
+    """Tell whether each sample knows nothing of the others, so that passes lose nothing."""
+    return bool(sampler.class_name() == "IndependentSampler")
 
 
 def _is_vectorized() -> bool:

@@ -30,10 +30,12 @@ NOT_IN_A_PICTURE = (
     "__main__.py",
     "cli/",
     "files/",
+    "lighting/",
     "measures.py",
     "rendering/cluster.py",
     "rendering/converted_file.py",
     "rendering/parcel.py",
+    "rendering/partial.py",
     "rendering/provenance.py",
     "rendering/worker.py",
     "study/",
@@ -129,10 +131,18 @@ def describe(job: RenderJob, rendering: Rendering) -> dict[str, str]:
     """
     return {
         "scene": str(job.scene),
-        "scene_digest": rendering.scene_digest,
         "spp": str(rendering.spp),
         "passes": str(rendering.passes),
-        "pass_spp": "as many as possible" if job.pass_spp is None else str(job.pass_spp),
+        **settings(job, rendering.scene_digest),
+        "render_seconds": f"{rendering.seconds:.3f}",
+        "machine": rendering.machine,
+    }
+
+
+def settings(job: RenderJob, digest: str) -> dict[str, str]:
+    """Return what two renders have in common if their samples may be averaged, as texts."""
+    return {
+        "scene_digest": digest,
         "seed": str(job.seed),
         "variant": job.variant,
         "sampling": job.sampling or "as in the scene",
@@ -140,8 +150,6 @@ def describe(job: RenderJob, rendering: Rendering) -> dict[str, str]:
         **job.changes.describe(),
         "parameters": json.dumps(dict(job.parameters)),
         **versions(),
-        "render_seconds": f"{rendering.seconds:.3f}",
-        "machine": rendering.machine,
     }
 
 

@@ -11,8 +11,10 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 
+from ..plugins.attachment import attach_all
 from ..plugins.names import ELLIPTICAL_AREA
 from ..system.threads import use_threads
 from . import rewrite
@@ -88,6 +90,25 @@ class ParsedScene:
             _mi.set_file_resolver(before)
 
 
+def set_variant(variant: str) -> None:
+    """
+    Set Mitsuba's variant.
+
+    Raises
+    ------
+    ValueError
+        If it needs a GPU that Dr.Jit cannot use here.
+    ImportError
+        From Mitsuba, if there is no such variant.
+    """
+    if variant.startswith("cuda") and not dr.has_backend(dr.JitBackend.CUDA):
+        raise ValueError(
+            f"variant={variant}: Dr.Jit finds no NVIDIA GPU here; choose one that starts with llvm"
+            " or scalar"
+        )
+    mi.set_variant(variant)
+
+
 def load_scene(
     path: str | PathLike[str],
     parameters: Mapping[str, str] | None = None,
@@ -115,8 +136,8 @@ def load_scene(
     ------
     ValueError
         If an ``ellipticalarea`` belongs to no shape, if `sampling` is unknown, if it is given but
-        the scene has no ``ellipticalarea``, if the scene does not use one of `parameters`, or if
-        the file holds something other than a scene.
+        the scene has no ``ellipticalarea``, if the scene does not use one of `parameters`, if a
+        film has no pixels, or if the file holds something other than a scene or is a folder.
     RuntimeError
         From Mitsuba, for everything that is wrong with the file itself.
     """
@@ -124,6 +145,12 @@ def load_scene(
     if convert_lamps:
         _mi.Log(mi.LogLevel.Info, str(parsed.conversion()))
     return instantiate(parsed, sampling, Changes(convert_lamps))
+
+
+def check_scene_file(path: Path) -> None:
+    """Raise a ValueError for a folder; Mitsuba says itself that a file does not exist."""
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder, and not the XML file of a scene")
 
 
 def parse_scene(
@@ -135,6 +162,7 @@ def parse_scene(
     Parameters and errors are those of :func:`load_scene`.
     """
     path = Path(path)
+    check_scene_file(path)
     config = mi.parser.ParserConfig(mi.variant() or "")
     before = _mi.file_resolver()
     resolver = _mi.FileResolver(before)
@@ -177,6 +205,7 @@ def instantiate(
     """
     with parsed.files_found():
         state = parsed.resolved()
+        _refuse_empty_films(state)
         _refuse_detached_lamps(state)
         changes.apply(state)
         if sampling is not None:
@@ -188,7 +217,18 @@ def instantiate(
             scene = mi.parser.instantiate(parsed.config, state)
     if not isinstance(scene, mi.Scene):
         raise ValueError(f"{parsed.path}: the root element is no <scene>")
+    attach_all(scene)
     return scene
+
+
+def _refuse_empty_films(state: mi.parser.ParserState) -> None:
+    """Raise an error for a film without pixels, which Mitsuba takes for a wrong field of view."""
+    for node in state.nodes:
+        if node.type == mi.ObjectType.Film:
+            for side in ("width", "height"):
+                if side in node.props and node.props[side] == 0:
+                    location = mi.parser.file_location(state, node)
+                    raise ValueError(f"{location}: {side}=0, but a film needs at least 1 pixel")
 
 
 def _refuse_detached_lamps(state: mi.parser.ParserState) -> None:
@@ -210,7 +250,7 @@ def _refuse_detached_lamps(state: mi.parser.ParserState) -> None:
 def under_variant(variant: str) -> Iterator[None]:
     """Set a variant of Mitsuba, and set that of the caller again in the end."""
     before = mi.variant()
-    mi.set_variant(variant)
+    set_variant(variant)
     try:
         yield
     finally:

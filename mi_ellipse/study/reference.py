@@ -17,6 +17,7 @@ from ..rendering.changes import UNCHANGED, Changes
 from ..rendering.division import SAMPLES_PER_PASS, pass_size
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import RenderJob
+from ..rendering.passes import check_pass_count
 from .album import Album
 from .gallery import colour, settings, variant
 from .metrics import flip, reference_errors
@@ -165,6 +166,7 @@ def _plan(
     """Yield the missing passes, the halves in turn, until each has `target` samples per pixel."""
     width, height = executor.submit(job.plan).result().film_size
     size = pass_size(width * height, samples_per_pass)
+    check_pass_count(2 * target, 2 * (target // size))
     taken: dict[int, int] = {}  # by the samples per pixel asked for; some samplers round up
     spp, numbers = [half.spp for half in halves], [half.passes for half in halves]
     while min(spp) < target:
@@ -172,7 +174,7 @@ def _plan(
         asked = min(size, target - spp[index])
         # The same words come first however many are generated: a seed belongs to its pass.
         seeds = np.random.SeedSequence([SEED, index]).generate_state(numbers[index] + 1)
-        a_pass = replace(job, spp=asked, pass_spp=asked, seed=int(seeds[-1]))
+        a_pass = replace(job, spp=asked, seed=int(seeds[-1]), repeatable=True)
         yield index, a_pass
         if asked not in taken:
             taken[asked] = executor.submit(a_pass.plan).result().spp

@@ -12,6 +12,7 @@ import numpy as np
 from ..files import images
 from ..rendering.changes import UNCHANGED, Changes
 from ..rendering.executor import JobExecutor
+from ..rendering.job import MAX_SPP
 from ..rendering.rewrite import check_choice
 from ..rendering.scene import parse_scene
 from . import results
@@ -80,7 +81,7 @@ def compare(
     """
     scene_file, folder, parameters = Path(scene_file), Path(folder), dict(parameters or {})
     strategies, spp = tuple(dict.fromkeys(strategies)), tuple(sorted(set(spp)))
-    _check(strategies, spp)
+    _check(strategies, spp, reference_spp)
     if changes.convert_lamps:
         say(f"{parse_scene(scene_file, parameters).conversion()}")
 
@@ -144,11 +145,14 @@ def match_samples(seconds: float, spp: Sequence[int], measured: Sequence[float])
     return max(1, round((seconds - offset) / slope))
 
 
-def _check(strategies: Sequence[str], spp: Sequence[int]) -> None:
+def _check(strategies: Sequence[str], spp: Sequence[int], reference_spp: int) -> None:
     for name in strategies:
         check_choice(split(name)[0])
-    if not strategies or not spp or min(spp) < 1:
-        raise ValueError("a comparison needs a strategy and numbers of samples of at least 1")
+    if not strategies or not spp:
+        raise ValueError("a comparison needs a strategy and a number of samples per pixel")
+    for count in (*spp, reference_spp):
+        if not 1 <= count <= MAX_SPP:
+            raise ValueError(f"spp={count}: samples per pixel are from 1 to {MAX_SPP}")
 
 
 # ---- Pictures ----

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from commands import HEIGHT, LAMP, SCENE, WIDTH, files, invoke, read, samples, write_scene
+from mi_ellipse.files import images
 from mi_ellipse.rendering import job, passes, provenance
 from mi_ellipse.rendering.provenance import scene_digest
 from mi_ellipse.rendering.scene import load_scene
@@ -52,7 +54,6 @@ def test_render_writes_a_picture_with_the_settings_that_made_it(scene_file):
         ),
         "spp": "8",
         "passes": "1",
-        "pass_spp": "as many as possible",
         "seed": str(2**32 - 1),
         "variant": "llvm_ad_rgb",
         "sampling": "solid_angle",
@@ -178,6 +179,8 @@ def assert_fails_in_one_line(result, *words):
         (["-o", "folder.exr"], ["cannot write folder.exr", "folder"]),
         (["-o", "blocked.exr"], ["cannot write blocked.png"]),
         (["-o", "out.png"], ["out.png", ".exr"]),
+        (["-o", ""], ["OpenEXR"]),
+        (["--spp", "99999999999999999999"], ["spp=99999999999999999999", "4294967295"]),
     ],
 )
 def test_wrong_options(scene_file, options, words):
@@ -192,6 +195,52 @@ def test_wrong_options(scene_file, options, words):
 def test_output_is_tried_before_rendering(scene_file, monkeypatch):
     monkeypatch.setattr(job, "parse_scene", lambda *_: pytest.fail("began to work"))
     assert_fails_in_one_line(invoke("render", scene_file, "-o", "/proc/out.exr"), "/proc/out.exr")
+
+
+@pytest.mark.parametrize("name", [".", ""])
+def test_scene_that_is_a_folder(scene_file, name):
+    assert_fails_in_one_line(invoke("render", name), ". is a folder", "XML file")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "options", "words"),
+    [
+        (f'value="{WIDTH}"', 'value="0"', [], ["scene.xml (line", "width=0", "1 pixel"]),
+        (f'value="{WIDTH}"', 'value="400000"', ["--spp", 2**32 - 1], ["spp=4294967295", "passes"]),
+        ('<string name="sampling"', '<rgb name="radiance" value="1,-2,1"/>\\g<0>', [],
+         ["radiance=1, -2, 1", "not negative"]),
+        ('<string name="sampling"', '<rgb name="radiance" value="nan"/>\\g<0>', [],
+         ["radiance=nan", "finite"]),
+    ],
+)  # fmt: skip
+def test_scene_that_cannot_be_rendered(scene_file, before, after, options, words):
+    scene_file.write_text(re.sub(before, after, scene_file.read_text(), count=1))
+    assert_fails_in_one_line(invoke("render", scene_file, *options), *words)
+    assert files(scene_file.parent) == ["scene.xml"]
+
+
+@pytest.mark.skipif(dr.has_backend(dr.JitBackend.CUDA), reason="needs a machine without a GPU")
+def test_variant_that_needs_a_gpu(scene_file):
+    result = invoke("render", scene_file, "--variant", "cuda_ad_rgb")
+    assert_fails_in_one_line(result, "variant=cuda_ad_rgb", "GPU", "llvm")
+    assert mi.variant() == "llvm_ad_rgb"
+
+
+def test_words_of_mitsuba_are_plain_lines_on_stderr(scene_file, monkeypatch):
+    original = passes.render
+
+    def warning(*arguments):
+        mi.set_log_level(mi.LogLevel.Warn)  # Other tests are content with errors.
+        mi.Log(mi.LogLevel.Warn, "two\nlines")
+        return original(*arguments)
+
+    monkeypatch.setattr(passes, "render", warning)
+    result = invoke("render", scene_file)
+    said = [line for line in result.stderr.splitlines() if "two lines" in line]
+    assert len(said) == 1
+    assert said[0].startswith("WARN: ")
+    assert "\x1b" not in result.output
+    assert "two" not in result.stdout
 
 
 def test_missing_scene_file(scene_file):
@@ -291,9 +340,7 @@ def test_invalid_pixels_are_announced(scene_file, monkeypatch):
 def test_loss_of_stratification_is_announced(scene_file, monkeypatch, sampler, warns):
     plan = passes.plan_passes
     monkeypatch.setattr(
-        passes,
-        "plan_passes",
-        lambda scene, spp=None, limit=0, pass_spp=None: plan(scene, spp, samples(4)),
+        passes, "plan_passes", lambda scene, spp=None, *_, **__: plan(scene, spp, samples(4))
     )
     result = invoke("render", scene_file, "--spp", 16, "-D", f"sampler={sampler}")
     assert "16 spp, 4 passes" in result.stdout
@@ -354,6 +401,70 @@ def test_interrupt_during_a_pass_ends_the_process_at_once(scene_file):
             child.kill()
     assert files(scene_file.parent) == ["scene.exr", "scene.xml"]
     assert (scene_file.parent / "scene.exr").read_text() == "earlier"
+
+
+# ---- Ctrl-C with --keep-partial ----
+
+
+def start(*arguments):
+    """Start a render of many passes of 4 samples per pixel, and wait for the first one."""
+    code = (
+        "import sys; from mi_ellipse import cli; from mi_ellipse.rendering import passes\n"
+        f"passes.SHORT_PASS['llvm'] = {samples(4)}\n"
+        "original = passes._timed\n"
+        "def announced(*a): result = original(*a); print('pass', flush=True); return result\n"
+        "passes._timed = announced\n"
+        f"sys.argv = {['mi-ellipse', 'render', 'scene.xml', '--keep-partial', *arguments]}\n"
+        "cli.main()"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert child.stdout.readline() == "pass\n"
+    return child
+
+
+def test_interrupted_render_is_kept_and_continued(scene_file, monkeypatch):
+    child = start("--spp", "4000")
+    child.send_signal(signal.SIGINT)
+    _, said = child.communicate(timeout=60)
+    assert child.returncode == 128 + signal.SIGINT
+    assert files(scene_file.parent) == ["scene.exr", "scene.png", "scene.xml"]
+    spp = int(images.read_metadata("scene.exr")["spp"])
+    assert 4 <= spp < 4000
+    assert spp % 4 == 0
+    assert f"Interrupted: {spp} of 4000 samples" in " ".join(said.split())
+
+    monkeypatch.setitem(passes.SHORT_PASS, "llvm", samples(4))
+    refused = invoke("render", scene_file, "--spp", 4000, "--seed", 1)
+    assert_fails_in_one_line(refused, f"{spp} samples per pixel", "(seed)", "another output")
+    result = invoke("render", scene_file, "--spp", spp + 6)
+    assert f"Continued from {spp} of {spp + 6} samples" in " ".join(result.stderr.split())
+    assert f"{spp + 6} spp, {spp // 4 + 2} passes" in result.stdout
+    whole = invoke("render", scene_file, "-o", "whole.exr", "--spp", spp + 6)
+    assert whole.exit_code == 0
+    # Not to the bit: threads add up the samples in another order each time.
+    np.testing.assert_allclose(read("scene.exr"), read("whole.exr"), rtol=1e-5)
+
+
+def test_second_interrupt_ends_the_process_at_once():
+    code = (
+        "import time, os, signal, sys; from mi_ellipse.cli.process import interrupt_ends_pass\n"
+        "with interrupt_ends_pass(print) as stop:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    while not stop(): time.sleep(0.01)\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    time.sleep(60)"
+    )
+    process = subprocess.run([sys.executable, "-u", "-c", code], capture_output=True, timeout=30)
+    assert process.returncode == 128 + signal.SIGINT
+    assert process.stdout.count(b"Ctrl-C again") == 1
+
+
+def test_one_pass_cannot_be_kept_in_part(scene_file):
+    result = invoke("render", scene_file, "--keep-partial")
+    assert "in one pass: Ctrl-C ends at once and keeps nothing" in " ".join(result.stderr.split())
+    assert result.exit_code == 0
 
 
 def test_grouping_can_be_left_to_mitsuba(tmp_path, monkeypatch):

@@ -264,3 +264,17 @@ def test_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch, write):
     assert (files(tmp_path), path.read_bytes()) == ([path.name], before)
     write(path, np.ones((4, 4, 3)))
     assert path.read_bytes() != before
+
+
+def test_sum_behind_a_picture_is_kept_to_the_bit(tmp_path):
+    file = tmp_path / "sum.exr"
+    image = np.random.default_rng(1).random((3, 5, 2), dtype=np.float32)
+    total = np.random.default_rng(2).random((3, 5, 2)) * 1e9
+    total[0, 0], total[1, 1], total[2, 2] = (np.nan, -np.inf), (1e300, 5e-324), (-0.0, 1 / 3)
+    images.write_with_sum(file, image, total, {"spp": "7"}, ("Y", "depth.T"))
+    assert images.read_sum(file, ("Y", "depth.T")).tobytes() == total.tobytes()
+    assert np.array_equal(images.read_parts(file)["picture"], image)
+    assert images.read_metadata(file) == {"spp": "7"}
+    assert np.array_equal(np.array(mi.Bitmap(str(file))), image)  # other programs see the picture
+    with pytest.raises(ValueError, match=r"sum.exr: the file holds no sum of the channels R, G, B"):
+        images.read_sum(file, ("R", "G", "B"))

@@ -227,3 +227,118 @@ def test_turning_a_circle_changes_nothing():
         shift = gradient(CIRCLE, "shift", "solid_angle", "prb_projective", view, 0)
         # The numerical noise of a boundary that moves along itself
         assert np.abs(got).max() < 1e-3 * np.abs(shift).max()
+
+
+# ---- Place and size of solids ----
+
+CENTRE, ALBEDO = np.array([0.2, 0.1, 0.6]), 0.5
+SKY = 0.2  # Radiance behind the lamp
+SOLIDS = {
+    "sphere": np.diag([0.3, 0.3, 0.3]),
+    "bulb": rotation([1, 2, 0.5], 40)[:3, :3] @ np.diag([0.4, 0.3, 0.2]),
+}
+SOLID_VIEWS = {
+    # The floor under the lamp, from below it
+    "floor": (140.0, [0.45, 0.1, 0.28], [0.45, 0.1, 0]),
+    # The lamp alone, from below its middle
+    "lamp": (90.0, [0.2, 0.1, 0.001], [0.2, 0.1, 1]),
+}
+
+
+def solid_scene(solid, sampling, integrator, view):
+    to_world = np.eye(4)
+    to_world[:3, :3], to_world[:3, 3] = SOLIDS[solid], CENTRE
+    sky = {"type": "constant", "radiance": {"type": "rgb", "value": SKY}}
+    lamps = {"lamp": lamp(to_world, sampling, shape="ellipsoid", segments=40), "sky": sky}
+    scene = floor_and(lamps, 4, integrator=PROJECTIVE[integrator])
+    fov, *points = SOLID_VIEWS[view]
+    look = mi.ScalarTransform4f().look_at(*points, [0, 1, 0])
+    scene["sensor"] |= {"fov": fov, "to_world": look}
+    scene["sensor"]["film"]["sample_border"] = True
+    return mi.load_dict(scene)
+
+
+def move_solid(parameters, solid, motion, t):
+    """Let the transform of the sphere, or the vertices of the mesh, depend on the parameter."""
+    step = [0, 0, t]
+    if solid == "sphere":
+        base = mi.Transform4f(parameters["lamp.to_world"])
+        grown = base @ mi.Transform4f().scale(1 + t)
+        moved = grown if motion == "size" else mi.Transform4f().translate(step) @ base
+        parameters["lamp.to_world"] = moved
+    else:
+        base = dr.unravel(mi.Point3f, parameters["lamp.vertex_positions"])
+        centre = mi.Point3f(*CENTRE.tolist())
+        moved = (base - centre) * (1 + t) + centre if motion == "size" else base + mi.Point3f(step)
+        parameters["lamp.vertex_positions"] = dr.ravel(moved)
+    parameters.update()
+
+
+def mean_of_picture(solid, view, centre, scale):
+    """By oracles: the irradiance from a solid above the horizon, or the part of the film."""
+    fov, camera, _ = SOLID_VIEWS[view]
+    half = np.tan(np.radians(fov / 2))
+    axes = scale * SOLIDS[solid]
+    if view == "lamp":
+        # The dual cone, cut by the film: the outline is an ellipse
+        c = centre - camera
+        dual = axes @ axes.T - np.outer(c, c)
+        middle = dual[:2, 2] / dual[2, 2]
+        area = np.pi * np.sqrt(np.linalg.det(dual[:2, :2] / -dual[2, 2] + np.outer(middle, middle)))
+        return SKY + (1 - SKY) * area / (2 * half) ** 2
+    line = (np.arange(32) + 0.5) / 16 - 1
+    total = 0
+    for x in camera[0] + camera[2] * half * line:
+        for y in camera[1] + camera[2] * half * line:
+            # π sin α sin β cos θ for the cone of the dual matrix, without its frame
+            c = centre - [x, y, 0]
+            values, vectors = np.linalg.eigh(axes @ axes.T - np.outer(c, c))
+            tangents2 = values[1:] / -values[0]
+            cosine = abs(vectors[2, 0])
+            total += np.pi * cosine * np.sqrt(np.prod(tangents2 / (1 + tangents2)))
+    return ALBEDO * (SKY + (1 - SKY) * total / len(line) ** 2 / np.pi)
+
+
+def slope_of_the_mean(solid, view, motion, step=1e-4):
+    means = []
+    for t in (step, -step):
+        shift, scale = ([0, 0, 0], 1 + t) if motion == "size" else ([0, 0, t], 1)
+        means.append(mean_of_picture(solid, view, CENTRE + shift, scale))
+    return (means[0] - means[1]) / (2 * step)
+
+
+# Pairwise, as above
+SOLID_ROWS = [
+    ("sphere", "floor", "height", "solid_angle", "direct_projective"),
+    ("sphere", "floor", "size", "projected_solid_angle", "prb_projective"),
+    ("sphere", "lamp", "size", "projected_solid_angle", "direct_projective"),
+    ("bulb", "floor", "size", "projected_solid_angle", "direct_projective"),
+    ("bulb", "lamp", "height", "solid_angle", "prb_projective"),
+]
+
+
+@pytest.mark.parametrize("row", SOLID_ROWS, ids=["-".join(row) for row in SOLID_ROWS])
+def test_gradient_of_a_solid(row):
+    """Of the mean of the picture."""
+    solid, view, motion, name, integrator = row
+    gradients, means = [], []
+    for seed in range(4):
+        scene = solid_scene(solid, name, integrator, view)
+        parameters = mi.traverse(scene)
+        t = mi.Float(0)
+        dr.enable_grad(t)
+        move_solid(parameters, solid, motion, t)
+        picture = mi.render(scene, parameters, spp=256, seed=seed)
+        means.append(np.array(picture).mean())
+        dr.forward(t)
+        gradients.append(np.array(dr.grad(picture)).mean())
+    # 4 · 4² pixels of 256 samples know the part that a disk covers to 0.5 %. The mesh is inside the
+    # ellipsoid by at most 7.3 / 40², 0.5 % of its radius.
+    mesh_error = 0 if solid == "sphere" else 0.01
+    expected = mean_of_picture(solid, view, CENTRE, 1)
+    assert np.mean(means) == pytest.approx(expected, rel=0.02 + mesh_error)
+    expected = slope_of_the_mean(solid, view, motion)
+    error = np.std(gradients, ddof=1) / np.sqrt(4)
+    assert error < 0.05 * abs(expected)
+    # Student's t with 3 degrees of freedom: 20 is passed in 3 of 10 000 runs
+    assert abs(np.mean(gradients) - expected) < 20 * error + (0.002 + mesh_error) * abs(expected)

@@ -4,8 +4,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from mi_ellipse.geometry import ellipse, ellipsoid, sphere
-from mi_ellipse.geometry.light import field_values
 from mi_ellipse.lamps import estimate
+from mi_ellipse.lamps.lamp import Lamp
+from mi_ellipse.lamps.records import Records
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 
@@ -29,9 +30,9 @@ def sides(half_axes, centre, normal):
 
 def guess(light, point, normal):
     """The estimate for a light."""
-    fields = field_values(light.stored())
-    fields = {name: np.array(value).reshape(-1) for name, value in fields.items()}
-    outlines = estimate.Outlines.of([fields])
+    lamp = Lamp(mi.load_dict({"type": "uniform", "value": 1.0}), "solid_angle")
+    lamp.place(light)
+    outlines = estimate.Outlines.of(Records([lamp]).shapes())
     got = outlines.irradiance(mi.UInt32(0), mi.Point3f(point), mi.Normal3f(normal))
     return np.array(got).item()
 

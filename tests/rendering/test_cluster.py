@@ -22,7 +22,7 @@ from conftest import SMALL_SCENE, SMALL_SIZE
 
 distributed = pytest.importorskip("distributed")
 
-from mi_ellipse.rendering import cluster, division, provenance, worker  # noqa: E402
+from mi_ellipse.rendering import cluster, provenance, worker  # noqa: E402
 from mi_ellipse.rendering.executor import LocalExecutor  # noqa: E402
 from mi_ellipse.rendering.job import RenderJob  # noqa: E402
 
@@ -312,18 +312,18 @@ def test_a_timed_job_begins_again_when_its_worker_dies(both, small_scene):
 
 
 def test_render_on_a_cluster_is_the_local_render(both, small_scene, monkeypatch, tmp_path):
+    """In three passes of 8192 samples per pixel."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(division, "SAMPLES_PER_PASS", SMALL_SIZE[0] * SMALL_SIZE[1] * 16)
     address = both.client.scheduler.address
-    there = invoke("render", small_scene, "--spp", 100, "-o", "a.exr", "--scheduler", address)
+    there = invoke("render", small_scene, "--spp", 24576, "-o", "a.exr", "--scheduler", address)
     assert there.exit_code == 0, there.output
-    assert "100 spp, 7 passes" in there.stdout
+    assert "24576 spp, 3 passes" in there.stdout
     assert "Cluster: 2 worker(s)" in there.stderr
-    here = invoke("render", small_scene, "--spp", 100, "-o", "b.exr", "--pass-spp", 16)
+    here = invoke("render", small_scene, "--spp", 24576, "-o", "b.exr")
     assert here.exit_code == 0, here.output
     np.testing.assert_array_equal(read("a.exr"), read("b.exr"))
     first, second = (mi.Bitmap(name).metadata() for name in ("a.exr", "b.exr"))
-    for name in ("scene", "scene_digest", "spp", "passes", "pass_spp", "seed", "parameters"):
+    for name in ("scene", "scene_digest", "spp", "passes", "seed", "parameters"):
         assert first[name] == second[name]
     assert first["machine"].endswith(f"1 threads, on {platform.node()}")
 
@@ -354,7 +354,7 @@ def test_compare_takes_the_options_of_a_cluster(small_scene, tmp_path, monkeypat
 
 def test_workers_of_this_machine(small_scene, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    options = ("--spp", 6, "--pass-spp", 2)
+    options = ("--spp", 16)
     there = invoke("render", small_scene, *options, "-o", "a.exr", "--workers", 1)
     assert there.exit_code == 0, there.output
     assert "Cluster: 1 worker(s) with 1 thread(s)" in there.stderr

@@ -53,7 +53,7 @@ def test_a_job_is_a_value(scene_file):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"spp": 0}, "spp=0: .* at least 1"),
+        ({"spp": 0}, "spp=0: .* from 1 to"),
         ({"seed": -1}, "seed=-1: .* from 0 to 4294967295"),
         ({"seed": 2**32}, "seed=4294967296"),
     ],
@@ -100,8 +100,10 @@ def test_the_variant_of_the_caller_is_set_again_after_an_error(scene_file):
 
 
 def test_plan(scene_file):
-    plan = RenderJob(scene_file, {"sampler": "stratified"}, spp=5).plan()
-    assert plan == job_module.Plan((9,), (WIDTH, HEIGHT), False, sensors=("0",))
+    parameters = {"sampler": "stratified"}
+    plan = RenderJob(scene_file, parameters, spp=5).plan()
+    digest = scene_digest(scene_file, parameters)
+    assert plan == job_module.Plan((9,), (WIDTH, HEIGHT), False, digest, sensors=("0",))
     assert plan.spp == 9
 
 

@@ -28,6 +28,62 @@ def test_plan_passes(scene_file, sampler, spp, limit, expected):
     assert passes.plan_passes(scene, spp, limit) == expected
 
 
+@pytest.mark.parametrize(
+    ("sampler", "spp", "expected"),
+    [
+        ("independent", 3, (3,)),
+        ("independent", 8, (4, 4)),
+        ("independent", 15, (4, 4, 4, 3)),
+        ("multijitter", 16, (16,)),
+    ],
+)
+def test_short_passes(scene_file, monkeypatch, sampler, spp, expected):
+    monkeypatch.setitem(passes.SHORT_PASS, "llvm", samples(4))
+    scene = load_scene(scene_file, {"sampler": sampler})
+    assert passes.plan_passes(scene, spp, short=True) == expected
+    assert passes.plan_passes(scene, spp) == (spp,)
+
+
+def test_short_pass_has_a_sample_for_each_pixel(scene_file, monkeypatch):
+    monkeypatch.setitem(passes.SHORT_PASS, "llvm", 1)
+    assert passes.plan_passes(load_scene(scene_file), 2, short=True) == (1, 1)
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_rgb", "llvm_ad_spectral", "scalar_rgb"])
+def test_continued_render_is_the_uninterrupted_one_to_the_bit(scene_file, monkeypatch, variant):
+    mi.set_variant(variant)
+    monkeypatch.setitem(passes.SHORT_PASS, variant.partition("_")[0], samples(4))
+    threads = dr.thread_count()
+    dr.set_thread_count(1)  # More of them add up samples in an order of chance.
+    try:
+        scene = load_scene(scene_file)
+        whole = passes.render(scene, 15, 5, short=True)
+        asked = iter([False, True])
+        first = passes.render(scene, 15, 5, short=True, stop=lambda: next(asked))
+        second = passes.render(scene, 15, 5, short=True, before=first.unfinished)
+        more = passes.render(scene, 20, 5, short=True, before=first.unfinished)
+        all_of_more = passes.render(scene, 20, 5, short=True)
+    finally:
+        dr.set_thread_count(threads)
+
+    assert (first.spp, first.passes, first.unfinished.spp) == (8, 2, 8)
+    assert (second.spp, second.passes, second.unfinished) == (15, 4, None)
+    assert second.seconds > first.seconds > 0
+    assert np.array_equal(second.image, whole.image)
+    assert np.array_equal(more.image, all_of_more.image)
+    assert not np.array_equal(first.image, whole.image)
+
+
+def test_render_goes_on_only_from_its_own_passes(scene_file, monkeypatch):
+    monkeypatch.setitem(passes.SHORT_PASS, "llvm", samples(4))
+    scene = load_scene(scene_file)
+    finished = passes.render(scene, 12, short=True, stop=lambda: True).unfinished
+    with pytest.raises(ValueError, match="spp=3: 4 samples per pixel are finished already"):
+        passes.render(scene, 3, short=True, before=finished)
+    with pytest.raises(ValueError, match="passes of another size"):
+        passes.render(scene, 12, before=finished)
+
+
 def test_plan_passes_refuses_a_film_beyond_the_limit(scene_file):
     with pytest.raises(ValueError, match="more than 191 samples"):
         passes.plan_passes(load_scene(scene_file), 1, samples(1) - 1)
@@ -74,27 +130,6 @@ def test_single_pass_is_not_recorded(scene_file, monkeypatch):
 # ---- Passes that can be repeated ----
 
 
-@pytest.mark.parametrize(
-    ("sampler", "spp", "limit", "pass_spp", "expected"),
-    [
-        ("independent", 11, passes.MAX_SAMPLES_PER_PASS, 4, (4, 4, 3)),
-        ("independent", 3, passes.MAX_SAMPLES_PER_PASS, 4, (3,)),
-        ("independent", 8, samples(3), 4, (3, 3, 2)),
-        ("stratified", 20, passes.MAX_SAMPLES_PER_PASS, 8, (9, 9, 4)),
-    ],
-)
-def test_plan_passes_of_a_size(scene_file, sampler, spp, limit, pass_spp, expected):
-    scene = load_scene(scene_file, {"sampler": sampler})
-    assert passes.plan_passes(scene, spp, limit, pass_spp) == expected
-
-
-def test_scalar_variants_make_passes_of_a_size(scene_file):
-    mi.set_variant("scalar_rgb")
-    scene = load_scene(scene_file)
-    assert passes.plan_passes(scene, 5) == (5,)
-    assert passes.plan_passes(scene, 5, pass_spp=2) == (2, 2, 1)
-
-
 @pytest.fixture
 def threads():
     """Set the number of threads; the number of before returns in the end."""
@@ -104,19 +139,19 @@ def threads():
 
 
 @pytest.mark.parametrize("spp", [3, 32, 1000, 20000])
-def test_passes_of_a_size_are_the_same_with_any_number_of_threads(small_scene, threads, spp):
+def test_repeatable_passes_are_the_same_with_any_number_of_threads(small_scene, threads, spp):
     """A film of 24 × 16 pixels, so that blocks of samples end within pixels."""
     scene = load_scene(small_scene)
     images = []
     for count in (1, 2, 5, 5):
         threads(count)
-        images.append(passes.render(scene, spp, 1, pass_spp=spp).image)
+        images.append(passes.render(scene, spp, 1, repeatable=True).image)
         assert dr.thread_count() == count
     for image in images[1:]:
         np.testing.assert_array_equal(image, images[0])
 
 
-def test_threads_of_a_pass_that_can_be_repeated(small_scene, threads):
+def test_threads_of_repeatable_passes(small_scene, threads):
     text = small_scene.read_text().replace('value="24"', 'value="1024"')
     small_scene.write_text(text)
     scene = load_scene(small_scene)

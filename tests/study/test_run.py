@@ -19,7 +19,7 @@ from mi_ellipse.rendering import passes
 from mi_ellipse.rendering.job import RenderJob, Timing
 from mi_ellipse.study import results
 from mi_ellipse.study.results import EQUAL_SAMPLES, EQUAL_TIME
-from mi_ellipse.study.run import match_samples
+from mi_ellipse.study.run import compare, match_samples
 from typer.testing import CliRunner
 
 # Grids of pictures for two kinds and two counts; curves of time, and of four metrics against two
@@ -267,6 +267,20 @@ def test_invalid_pixels_are_refused(small_scene, tmp_path, monkeypatch, value):
         reference_of(small_scene, tmp_path / "reference", 8)
 
 
+@pytest.mark.parametrize(("spp", "reference_spp"), [((2, 2**33), 4), ((2,), 10**20), ((0,), 4)])
+def test_impossible_numbers_of_samples_are_refused_before_rendering(
+    small_scene, tmp_path, spp, reference_spp
+):
+    with pytest.raises(ValueError, match="samples per pixel are from 1 to 4294967295"):
+        compare(small_scene, tmp_path / "out", ("area",), spp, reference_spp)
+    assert not (tmp_path / "out").exists()
+
+
+def test_reference_of_too_many_passes_is_refused(small_scene, tmp_path):
+    with pytest.raises(ValueError, match=r"spp=4294967294: .* passes, and at most 1048576"):
+        reference_of(small_scene, tmp_path, 2**32 - 2)
+
+
 def test_black_reference_is_refused(small_scene, tmp_path):
     with pytest.raises(ValueError, match="reference is black"):
         run(small_scene, tmp_path / "out", spp=(2,), seeds=1, parameters={"radiance": "0"})
@@ -277,7 +291,7 @@ def test_black_reference_is_refused(small_scene, tmp_path):
     [
         (["--sampling", "area,nonsense", "--spp", "2"], ['"nonsense"', "solid_angle"]),
         (["--sampling", "area+grouped", "--spp", "2"], ['"area+grouped"', "solid_angle"]),
-        (["--sampling", "area", "--spp", "0"], ["at least 1"]),
+        (["--sampling", "area", "--spp", "0"], ["spp=0", "from 1"]),
     ],
 )
 def test_errors_take_one_line(small_scene, tmp_path, options, words):
