@@ -99,6 +99,7 @@ def load(lamps, grouped, size=8, sampler="independent", below=False, **options):
     """
     scene = floor_and(lamps, size, **options)
     scene["sensor"]["sampler"] = {"type": sampler}
+    scene["sensor"]["film"]["sample_border"] = True  # For gradients of what moves into the picture
     if below:
         look = mi.ScalarTransform4f().look_at([0, 0, 0.4], [0, 0, 0], [0, 1, 0])
         scene["sensor"] |= {"fov": 120.0, "to_world": look}

@@ -79,9 +79,8 @@ def run(
         if not grouping:
             strategies = [ungrouped(name) for name in strategies]
         set_variant(variant)
-        output.mkdir(parents=True, exist_ok=True)
         with step_bars(console) as progress:
-            comparison = compare(
+            compare(
                 scene_file,
                 output,
                 strategies,
@@ -91,8 +90,10 @@ def run(
                 parameters,
                 progress,
                 lambda text: console.print(text, markup=False, highlight=False, soft_wrap=True),
+                regions,
+                lambda comparison: draw(comparison, regions, console, progress),
                 changes,
                 executor,
             )
-        page = draw(comparison, regions, console)
-    print(f"{page}, {output / 'results.csv'}, {output / 'results.json'}, {output / 'figures'}")
+    names = ("report.html", "results.csv", "results.json", "figures")
+    print(", ".join(str(output / name) for name in names))

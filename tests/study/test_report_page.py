@@ -13,9 +13,11 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from conftest import SMALL_SCENE, SMALL_SIZE
+from mi_ellipse.rendering.job import Timing
 from mi_ellipse.study import compare
 from mi_ellipse.study.report import page, write_report
-from mi_ellipse.study.statistics import Efficiency
+from mi_ellipse.study.statistics import Efficiency, Estimate
+from mi_ellipse.study.timing import PairedTime
 
 STRATEGIES = ("area", "solid_angle")
 WIDTH, HEIGHT = SMALL_SIZE
@@ -122,8 +124,12 @@ def test_numbers_are_those_of_the_comparison(comparison, text):
     cells = Page(text).cells
     for measurement in comparison.measurements:
         error = measurement.errors["mse_trimmed"]
-        assert f"{error.mean:.3g} ± {error.standard_error:.1g}" in cells
-        assert f"{measurement.seconds:.3f}" in cells
+        assert f"{error.mean:.3g}\n± {error.standard_error:.1g}" in cells
+        for spread, digits in ((measurement.seconds, 3), (measurement.ratio, 2)):
+            assert (
+                f"{spread.median:.{digits}f}\n[{spread.low:.{digits}f}, {spread.high:.{digits}f}]"
+                in cells
+            )
     assert f"{comparison.reference.errors['mse']:.3g}" in cells
     assert comparison.warnings()[0] in html.unescape(text)
 
@@ -132,20 +138,20 @@ def test_efficiencies_have_their_intervals(comparison, text):
     cells = Page(text).cells
     for measurement in comparison.measurements:
         for one in measurement.efficiency.values():
-            if measurement.sampling == comparison.strategies[0]:
-                assert (one.value, one.low, one.high) == (1, 1, 1)
-                assert "1.00" in cells
-            else:
-                assert f"{one.value:.2f} [{one.low:.2f}, {one.high:.2f}]" in cells
+            assert f"{one.value:.2f}\n[{one.low:.2f}, {one.high:.2f}]" in cells
     assert "Student's t with 1 degree\nof freedom" in html.unescape(text)
 
 
-def with_intervals(comparison, first, second):
-    """The comparison with other ends of the intervals of one efficiency."""
-    ends = {comparison.strategies[0]: first, comparison.strategies[1]: second}
+def with_intervals(comparison, first, second, ratios=(1.0, 1.0)):
+    """The comparison with other ends of the intervals of one efficiency, and other times."""
+    ends = dict(zip(comparison.strategies, (first, second), strict=True))
+    ratio = dict(zip(comparison.strategies, ratios, strict=True))
+    second = Timing(1.0, 0.0, 0.0, 1.0)
     measurements = tuple(
         dataclasses.replace(
-            one, efficiency={"mse": Efficiency(7.25, *ends[one.sampling])}, errors=one.errors
+            one,
+            efficiency={"mse": Efficiency(7.25, *ends[one.sampling])},
+            times=(PairedTime(second, second, 1 / ratio[one.sampling]),),
         )
         for one in comparison.measurements
     )
@@ -162,6 +168,27 @@ def test_bold_is_the_best_by_its_interval_alone(comparison, first, second, bold)
         assert sum(best) == bold
         if bold:
             assert best == [first > second, second > first]
+
+
+def test_no_efficiency_is_best_on_a_machine_that_is_not_as_fast_as_itself(comparison):
+    for ratio, bold in ((1.09, 1), (1 / 1.09, 1), (1.11, 0), (1 / 1.11, 0)):
+        changed = with_intervals(comparison, (1, 2), (3, 4), (ratio, 1.5))
+        for group in page._table(changed, "equal samples"):
+            assert sum(row.costs[0].best for row in group) == bold
+
+
+def test_no_error_is_best_at_equal_time_where_the_times_differ(comparison):
+    errors = {"area": Estimate(2.0, 0.01), "solid_angle": Estimate(1.0, 0.01)}
+    for ratio, bold in ((1.09, 1), (1.11, 0), (1 / 1.11, 0)):
+        changed = with_intervals(comparison, (1, 2), (1, 2), (1.0, ratio))
+        measurements = tuple(
+            dataclasses.replace(one, errors=dict.fromkeys(one.errors, errors[one.sampling]))
+            for one in changed.measurements
+        )
+        changed = dataclasses.replace(changed, measurements=measurements)
+        for kind, expected in (("equal samples", 1), ("equal time", bold)):
+            for group in page._table(changed, kind):
+                assert sum(row.errors[0].best for row in group) == expected
 
 
 def test_curves_are_drawn_inline(text):
