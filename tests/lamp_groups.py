@@ -92,8 +92,18 @@ def flipped_floor():
     return two() | {"floor": {"type": "rectangle", "to_world": turned, "bsdf": both}}
 
 
-def load(lamps, grouped, size=8, **options):
-    scene = mi.load_dict(floor_and(lamps, size, **options))
+def load(lamps, grouped, size=8, sampler="independent", below=False, **options):
+    """A scene with a floor, seen from above the lamps or from below them.
+
+    From below, no edge of a lamp and no shadow is in the picture.
+    """
+    scene = floor_and(lamps, size, **options)
+    scene["sensor"]["sampler"] = {"type": sampler}
+    scene["sensor"]["film"]["sample_border"] = True  # For gradients of what moves into the picture
+    if below:
+        look = mi.ScalarTransform4f().look_at([0, 0, 0.4], [0, 0, 0], [0, 1, 0])
+        scene["sensor"] |= {"fov": 120.0, "to_world": look}
+    scene = mi.load_dict(scene)
     if grouped:
         assert mi_ellipse.group_lamps(scene) is not None
     return scene

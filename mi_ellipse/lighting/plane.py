@@ -37,7 +37,7 @@ class Plane:
     @property
     def normal(self) -> NDArray[np.float64]:
         """Unit normal of the side that is measured."""
-        normal: NDArray[np.float64] = np.cross(self.first, self.second)
+        normal: NDArray[np.float64] = np.cross(self.first, self.second).astype(float)
         normal /= np.linalg.norm(normal) * (-1 if self.is_flipped else 1)
         return normal
 
