@@ -12,6 +12,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from ...files import atomic
+from ..measuring import Progress
 from ..results import EQUAL_SAMPLES, EQUAL_TIME, Comparison
 from ..tidying import put_away
 from .curves import curve_names, draw_curve
@@ -20,10 +21,6 @@ from .insets import Inset, check_inside, choose_insets
 from .style import DPI, style_of, text
 
 __all__ = ["Figures", "Inset", "choose_insets", "picture_grid", "style_of", "write_figures"]
-
-
-# Called with a step of the work, and how much of how much is done.
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
