@@ -30,7 +30,7 @@ def ring(count=12, sampling="solid_angle"):
             @ DOWN
             @ np.diag([0.25, 0.12, 1, 1]),
             sampling,
-            {"type": "rgb", "value": [1 + 0.3 * k, 2, 3 - 0.2 * k]},
+            {"type": "rgb", "value": [1 + 0.3 * (k % 12), 2, 3 - 0.2 * (k % 12)]},
         )
         for k in range(count)
     }
