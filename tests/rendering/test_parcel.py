@@ -98,6 +98,14 @@ def test_parameters_of_file_names_stay_here_and_others_travel(folder, tmp_path, 
     assert packed.origins[next(n for n in packed.files if n.endswith(".ply"))].name == "a.ply"
 
 
+def test_folders_that_a_scene_adds_are_searched(folder, tmp_path, monkeypatch):
+    (folder / "parts" / "inner.xml").write_text(
+        f'<scene version="3.0.0">{MESH.format("b.ply")}</scene>'
+    )
+    scene = write(folder, '<path value="parts"/>', '<include filename="inner.xml"/>')
+    check(scene, {}, tmp_path, monkeypatch)
+
+
 def test_lines_stay_where_they_were(folder):
     scene = write(folder, "<!-- ä -->", "<shape", "type='ply' >", MESH[18:].format("cube.ply"))
     packed = pack(scene, {})
