@@ -82,6 +82,7 @@ class ClusterExecutor(JobExecutor):
         resources: ExitStack | None = None,
     ):
         self.client = client
+        self._say = say
         self.session = uuid.uuid4().hex[:12]
         self._closing = resources or ExitStack()
         self._closing.callback(client.close)
@@ -96,7 +97,7 @@ class ClusterExecutor(JobExecutor):
         self._is_shut_down = False
         try:
             self._wait_for_workers()
-            self._greet(say)
+            self._greet()
         except BaseException:
             self._closing.close()
             raise
@@ -230,9 +231,15 @@ class ClusterExecutor(JobExecutor):
         The other workers of its machine do nothing meanwhile, whoever uses the cluster.
         """
         lock = distributed.Lock("mi_ellipse-alone", self.client.scheduler, self.client.loop)
-        with lock, _Alone(self) as executor:
-            executor.place()
-            yield executor
+        if not lock.acquire(timeout=REFRESH):
+            self._say("Waiting: another command times jobs on this cluster, or has just ended")
+            lock.acquire()
+        try:
+            with _Alone(self) as executor:
+                executor.place()
+                yield executor
+        finally:
+            lock.release()
 
     def machine(self) -> str:
         """Return the machine that times jobs; it stays the same as long as one is like it."""
@@ -334,16 +341,16 @@ class ClusterExecutor(JobExecutor):
                 f" `dask worker {address}`"
             ) from None
 
-    def _greet(self, say: Callable[[str], None]) -> None:
+    def _greet(self) -> None:
         """Check the workers that are there, and say what they are."""
         present = self._identities()
         for address, one in present.items():
             if one.code != self._here.code:
                 raise RuntimeError(worker.describe_difference(address, one.code, self._here.code))
-        say(f"Cluster: {self.places()}")
+        self._say(f"Cluster: {self.places()}")
         others = [one for one in present.values() if one.digits != self._here.digits]
         if others:
-            say(
+            self._say(
                 f"{len(others)} of the workers have another processor or LLVM than this machine:"
                 " their pictures agree with its own to rounding, not bit for bit"
             )

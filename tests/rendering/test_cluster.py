@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -295,6 +296,23 @@ def other(executor, address):
     """The worker that is not this one."""
     (found,) = executor.client.nthreads().keys() - {address}
     return found
+
+
+def test_two_commands_do_not_time_at_once(both):
+    said = []
+    with cluster.connect(both.client.scheduler.address, said.append) as another:
+        with both.alone():
+            waiting = ThreadPoolExecutor(1).submit(enter, another)
+            wait_for(lambda: said[1:])
+            assert not waiting.done()
+        assert waiting.result(timeout=20) == another.timing_worker()
+    assert said[1].startswith("Waiting: another command times jobs on this cluster")
+
+
+def enter(executor):
+    """Begin to time, and end at once."""
+    with executor.alone():
+        return executor.timing_worker()
 
 
 def test_a_timed_job_begins_again_when_its_worker_dies(both, small_scene):
