@@ -19,7 +19,15 @@ from mi_ellipse.sampling import STRATEGIES as REGISTERED
 from mi_ellipse.study.metrics import trimmed_mean
 from scipy.stats import t as student
 
-from .harness import Ratio, Work, Worker, in_new_process, peak_memory
+from .harness import (
+    Ratio,
+    Work,
+    Worker,
+    compare_times,
+    in_new_process,
+    peak_memory,
+    rendering,
+)
 from .lamps import many_lamps
 from .pictures import draw
 from .scenes import BUILT_IN, LIGHT_SAMPLES, PATH, SCENES, lamp, scene_file
@@ -43,8 +51,8 @@ EXACT_UP_TO = 16  # lamps; the exact choice looks at every lamp, one after the o
 IMAGES = SCENES.parent / "docs" / "images"
 GAINS = IMAGES / "many_lamps.svg"
 PICTURES = IMAGES / "many_lamps_bunny.png"
-SIZE_SHOWN, SPP_SHOWN = 320, 8
-INSETS = {"#D55E00": (40, 200, 80, 60), "#0072B2": (180, 90, 80, 60)}  # column, row, width, height
+SIZE_SHOWN, SPP_SHOWN, REFERENCE_SPP = 320, 16, 2048
+INSETS = {"#D55E00": (40, 200, 80, 60), "#0072B2": (160, 110, 80, 60)}  # column, row, width, height
 
 Load: TypeAlias = "Callable[[str], mi.Scene]"  # Of a kind of lamps
 
@@ -406,17 +414,29 @@ def draw_gains(cases: dict[str, dict]) -> None:
     plt.close(figure)
 
 
-def draw_pictures() -> None:
-    """The bunny with few samples: Mitsuba's choice of the lamp, and the group's."""
-    pictures = {}
-    for kind in (BUILT_IN, "projected_solid_angle", "projected_solid_angle" + GROUPED):
-        scene = scene_file("bunny", kind.removesuffix(GROUPED), resx=SIZE_SHOWN, resy=SIZE_SHOWN)
-        if kind.endswith(GROUPED):
-            mi_ellipse.group_lamps(scene)
-        pictures[kind.replace("_", " ")] = np.array(mi.render(scene, spp=SPP_SHOWN, seed=1))
-        if kind.endswith(GROUPED):
-            pictures["reference"] = np.array(mi.render(scene, spp=1024, seed=2))
+def draw_pictures() -> dict[str, dict[str, float]]:
+    """The bunny at equal time: built-in lamps, a strategy alone, and with a group.
+
+    Returns how many samples each has, and its time over that of built-in at equal samples.
+    """
+    shown = BUILT_IN, "projected_solid_angle", "projected_solid_angle" + GROUPED
+    make = {kind: rendering(partial(load, large_bunny, kind), SPP_SHOWN) for kind in shown}
+    times = compare_times(make[BUILT_IN], make, PAIRS).ratios
+    pictures, drawn = {}, {}
+    for kind in shown:
+        scene, ratio = load(large_bunny, kind), times[kind].median
+        spp = max(round(SPP_SHOWN / ratio), 1)
+        title = f"{kind.replace('_', ' ')}: {spp} samples"
+        pictures[title] = np.array(mi.render(scene, spp=spp, seed=1))
+        drawn[kind] = {"spp": spp, "time": ratio}
+    pictures["reference"] = np.array(mi.render(scene, spp=REFERENCE_SPP, seed=2))
     draw(PICTURES, pictures, INSETS)
+    return drawn
+
+
+def large_bunny(kind: str) -> mi.Scene:
+    """The bunny as it is shown, large enough that its time is that of its samples."""
+    return scene_file("bunny", kind, resx=SIZE_SHOWN, resy=SIZE_SHOWN)
 
 
 def run(pairs: int = PAIRS) -> dict:
@@ -433,8 +453,8 @@ def run(pairs: int = PAIRS) -> dict:
             for kind, values in entry.items():
                 print(f"{name:<28}{label:<14}{kind:<36}{values}", flush=True)
     draw_gains(cases)
-    draw_pictures()
     return {
+        "equal time": draw_pictures(),
         "size": SIZE,
         "spp": SPP,
         "seeds": SEEDS,

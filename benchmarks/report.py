@@ -322,10 +322,14 @@ def _ellipsoids(results: dict) -> str:
     ]
     return (
         "## Sphere and ellipsoid lamps [ellipsoids]\n\n"
-        f"A floor under a sphere of radius 0.3, or an ellipsoid with the semi-axes 1.2, 0.3 and "
-        f"0.15, seen beside the lamp; {results['spp']} spp. Built-in is `sphere` + `area`, uniform "
-        "in solid angle, or a mesh of 20 480 triangles + `area`. Trimmed squared error in "
-        "millionths, how many times lower it is than built-in's, and time over built-in's.\n\n"
+        "A lamp hangs above a floor, its centre at two heights: a sphere of radius 0.3, or an"
+        " ellipsoid with the semi-axes 1.2, 0.3 and 0.15. The picture shows the floor beside it,"
+        f" {results['size']}² pixels with {results['spp']} samples each.\n\n"
+        "* *Built-in* is `sphere` + `area`, which is uniform in solid angle, or a mesh of 20 480"
+        " triangles + `area`.\n"
+        "* *Error* is the trimmed MSE in millionths, and *times lower* is that of built-in over"
+        " it.\n"
+        "* *Time* is that of a whole render over that of built-in.\n\n"
         + table("lamp | samples | kind | error | times lower | time", rows)
     )
 

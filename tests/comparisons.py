@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from conftest import SMALL_SCENE, SMALL_SIZE
 from mi_ellipse import cli
+from mi_ellipse.files.lock import LOCK
 from mi_ellipse.rendering import passes
 from mi_ellipse.study import Comparison, compare
 from mi_ellipse.study.reference import Reference, render_reference
@@ -33,7 +34,7 @@ def run(
 def reference_of(
     scene_file: Path, folder: Path, spp: int, said: list[str] | None = None, **options: object
 ) -> Reference:
-    """Render a reference, four samples per pixel in each pass."""
+    """Render a reference, four samples per pixel in each pass unless the options say otherwise."""
     width, height = SMALL_SIZE
     return render_reference(
         folder,
@@ -42,8 +43,7 @@ def reference_of(
         spp,
         lambda done, total: None,
         (said if said is not None else []).append,
-        samples_per_pass=width * height * 4,
-        **options,
+        **{"samples_per_pass": width * height * 4, **options},
     )
 
 
@@ -59,6 +59,15 @@ def arguments_of(scene_file: Path, folder: Path) -> Sequence[str]:
 def read(file: Path) -> np.ndarray:
     """Pixels of a picture, as Mitsuba reads them."""
     return np.array(mi.Bitmap(str(file)))
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """What the files of a folder hold, apart from the lock."""
+    return {
+        file.relative_to(folder).as_posix(): file.read_bytes()
+        for file in folder.rglob("*")
+        if file.is_file() and file.name != LOCK
+    }
 
 
 @pytest.fixture

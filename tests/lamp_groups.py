@@ -30,7 +30,7 @@ def ring(count=12, sampling="solid_angle"):
             @ DOWN
             @ np.diag([0.25, 0.12, 1, 1]),
             sampling,
-            {"type": "rgb", "value": [1 + 0.3 * k, 2, 3 - 0.2 * k]},
+            {"type": "rgb", "value": [1 + 0.3 * (k % 12), 2, 3 - 0.2 * (k % 12)]},
         )
         for k in range(count)
     }
@@ -99,6 +99,7 @@ def load(lamps, grouped, size=8, sampler="independent", below=False, **options):
     """
     scene = floor_and(lamps, size, **options)
     scene["sensor"]["sampler"] = {"type": sampler}
+    scene["sensor"]["film"]["sample_border"] = True  # For gradients of what moves into the picture
     if below:
         look = mi.ScalarTransform4f().look_at([0, 0, 0.4], [0, 0, 0], [0, 1, 0])
         scene["sensor"] |= {"fov": 120.0, "to_world": look}

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
+from ..files.lock import only_one
 from .options import Insets, parse_insets
 from .process import interrupt_ends_process, one_line_errors
+from .progress import step_bars
+from .summary import print_summary
 
 if TYPE_CHECKING:
     from ..study.results import Comparison
@@ -25,19 +29,24 @@ def run(
         # Not with the other imports: drawing would make every command slow to start.
         from ..study import results
 
-        page = draw(results.read(folder), regions, Console(stderr=True))
-    print(f"{page}, {folder / 'figures'}")
+        comparison = results.read(folder)
+        console = Console(stderr=True)
+        with only_one(folder), step_bars(console) as progress:
+            draw(comparison, regions, console, progress)
+    print(f"{folder / 'report.html'}, {folder / 'figures'}")
 
 
 def draw(
-    comparison: Comparison, insets: list[tuple[int, int, int, int]] | None, console: Console
-) -> Path:
-    """Write the figures and the report of a comparison, repeat its warnings, return the page."""
+    comparison: Comparison,
+    insets: list[tuple[int, int, int, int]] | None,
+    console: Console,
+    progress: Callable[[str, int, int], None],
+) -> None:
+    """Write the figures and the report of a comparison, and print its numbers and warnings."""
     from ..study import drawing, report
 
-    console.print("Drawing the figures and the report")
-    figures = drawing.write_figures(comparison, insets)
-    page = report.write_report(comparison, insets, figures)
+    figures = drawing.write_figures(comparison, insets, progress)
+    report.write_report(comparison, insets, figures)
+    print_summary(comparison, console)
     for warning in comparison.warnings():
         console.print(f"WARNING: {warning}", style="bold red")
-    return page

@@ -1,1 +1,1 @@
-"""Files that are replaced whole, and pictures in them."""
+"""Files that are replaced whole, locked folders, and pictures."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
+import json
 import math
 from collections.abc import Mapping
 from os import PathLike
@@ -22,8 +24,12 @@ DEFAULT_CHANNELS = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", 
 CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of red, green and blue; ITU-R BT.709
 
-# Attributes by which OpenEXR describes a file itself. They are no settings of a picture.
+# Digest of the pixels and of what else the header says, see :func:`_checksum`
+CHECKSUM = "checksum"
+
+# Attributes by which a file describes itself. They are no settings of a picture.
 STRUCTURE = {
+    CHECKSUM,
     "channels", "chromaticities", "chunkCount", "compression", "dataWindow", "displayWindow",
     "lineOrder", "name", "pixelAspectRatio", "screenWindowCenter", "screenWindowWidth", "tiles",
     "type", "version", "view",
@@ -36,6 +42,7 @@ SUM = "sum"  # Name of the part that holds the sum behind a picture
 
 Image = NDArray[np.float32]
 Metadata = Mapping[str, str | int | float]
+Planes = dict[str, NDArray[Any]]  # pixels (height, width) by the names of their channels
 
 
 # ---- OpenEXR ----
@@ -50,6 +57,8 @@ def write_exr(
 ) -> None:
     """
     Write a linear picture as OpenEXR; an older file stays whole until the new one is.
+
+    The header carries a checksum of pixels and metadata, by which readers notice altered files.
 
     Parameters
     ----------
@@ -73,8 +82,8 @@ def write_exr(
     OSError
         If the file cannot be written.
     """
-    header, pixels = _header(metadata), _pixels(image, channels, half)
-    _write(path, OpenEXR.File(header, pixels))
+    pixels = _pixels(image, channels, half)
+    _write(path, OpenEXR.File(_header(metadata, pixels), pixels))
 
 
 def write_parts(
@@ -109,10 +118,10 @@ def write_parts(
     sizes = {name: np.shape(image)[:2] for name, image in parts.items()}
     if len(set(sizes.values())) > 1:
         raise ValueError(f"parts: all must have one size, and theirs are {sizes}")
-    made = [
-        OpenEXR.Part(_header(metadata), _pixels(image, None, half), name)
-        for name, image in parts.items()
-    ]
+    made = []
+    for name, image in parts.items():
+        pixels = _pixels(image, None, half)
+        made.append(OpenEXR.Part(_header(metadata, pixels), pixels, name))
     _write(path, OpenEXR.File(made))
 
 
@@ -142,9 +151,10 @@ def write_with_sum(
         for i, name in enumerate(channels)
         for word in (0, 1)
     }
+    pixels = _pixels(image, channels, False)
     parts = [
-        OpenEXR.Part(_header(metadata), _pixels(image, channels, False), "picture"),
-        OpenEXR.Part(_header(None), words, SUM),
+        OpenEXR.Part(_header(metadata, pixels), pixels, "picture"),
+        OpenEXR.Part(_header(None, words), words, SUM),
     ]
     _write(path, OpenEXR.File(parts))
 
@@ -156,15 +166,14 @@ def read_sum(path: str | PathLike[str], channels: tuple[str, ...]) -> NDArray[np
     Raises
     ------
     ValueError
-        If the file holds none, or has other channels.
+        If the file holds none, has other channels, or is damaged.
     OSError
         If it cannot be read.
     """
     for part in _open(path).parts:
         if part.name() == SUM and len(part.channels) == 2 * len(channels):
-            words = [
-                [part.channels[f"{name}.{word}"].pixels for word in (0, 1)] for name in channels
-            ]
+            planes = _planes(path, part)
+            words = [[planes[f"{name}.{word}"] for word in (0, 1)] for name in channels]
             bits = np.moveaxis(np.array(words, dtype=np.uint32), (0, 1), (-2, -1))
             return np.ascontiguousarray(bits).view(np.float64)[..., 0]
     raise ValueError(f"{path}: the file holds no sum of the channels {', '.join(channels)}")
@@ -186,11 +195,29 @@ def read_exr(path: str | PathLike[str]) -> Image:
     Raises
     ------
     ValueError
-        If the file is no OpenEXR file, is damaged, or has several parts.
+        If the file is no OpenEXR file, is damaged, or has several parts. Altered pixels or metadata
+        count as damage, where the file has a checksum of :func:`write_exr`.
     OSError
         If it cannot be read.
     """
-    return _image(_single_part(path))
+    return _image(path, _single_part(path))
+
+
+def read_picture(path: str | PathLike[str]) -> tuple[Image, dict[str, str]]:
+    """
+    Return the picture of :func:`read_exr` with the attributes of :func:`read_metadata`, both whole.
+
+    Raises
+    ------
+    ValueError
+        As :func:`read_exr`, and if the file has no checksum.
+    OSError
+        If the file cannot be read.
+    """
+    part = _single_part(path)
+    if CHECKSUM not in part.header:
+        raise ValueError(f"{path}: the file has no checksum")
+    return _image(path, part), _texts(part.header)
 
 
 def read_channels(path: str | PathLike[str]) -> tuple[str, ...]:
@@ -205,7 +232,7 @@ def read_parts(path: str | PathLike[str]) -> dict[str, Image]:
     The only part of a file may have no name; its key is then empty. Errors are those of
     :func:`read_exr`.
     """
-    return {part.name(): _image(part) for part in _open(path).parts}
+    return {part.name(): _image(path, part) for part in _open(path).parts}
 
 
 def read_metadata(path: str | PathLike[str]) -> dict[str, str]:
@@ -215,7 +242,11 @@ def read_metadata(path: str | PathLike[str]) -> dict[str, str]:
     Attributes that describe the file itself (its channels, its compression, …) are left out. In a
     file of several parts they are those of the first part. Errors are those of :func:`read_exr`.
     """
-    header: dict[str, Any] = _open(path, header_only=True).header()
+    return _texts(_open(path, header_only=True).header())
+
+
+def _texts(header: Mapping[str, Any]) -> dict[str, str]:
+    """Return the settings in a header as texts."""
     found = {}
     for name, value in header.items():
         if isinstance(value, np.ndarray) and value.shape == (1,):  # a number in double precision
@@ -232,12 +263,12 @@ def _write(path: str | PathLike[str], file: Any) -> None:
     write_bytes(path, buffer.getbuffer())
 
 
-def _header(metadata: Metadata | None) -> dict[str, Any]:
+def _header(metadata: Metadata | None, pixels: Planes) -> dict[str, Any]:
     """Return the attributes of a part as OpenEXR wants them."""
     metadata = metadata or {}
     if reserved := sorted(STRUCTURE & set(metadata)):
         raise ValueError(
-            f"metadata: OpenEXR itself uses the name {reserved[0]!r}; choose another one"
+            f"metadata: the file itself uses the name {reserved[0]!r}; choose another one"
         )
     typed = {
         # OpenEXR stores a Python float in single precision, but an array of one as it is.
@@ -245,15 +276,24 @@ def _header(metadata: Metadata | None) -> dict[str, Any]:
         for name, value in metadata.items()
     }
     return typed | {
+        CHECKSUM: _checksum(_texts(typed), pixels),
         "type": OpenEXR.scanlineimage,
         "compression": OpenEXR.ZIP_COMPRESSION,
         "chromaticities": CHROMATICITIES,
     }
 
 
-def _pixels(
-    image: ArrayLike, channels: tuple[str, ...] | None, half: bool
-) -> dict[str, NDArray[Any]]:
+def _checksum(metadata: Mapping[str, str], pixels: Planes) -> str:
+    """Return a SHA-256 of settings, names of channels and pixels."""
+    result = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
+    for name in sorted(pixels):
+        plane = np.ascontiguousarray(pixels[name])
+        result.update(f"{name} {plane.dtype.name} {plane.shape}".encode())
+        result.update(plane.data)
+    return result.hexdigest()
+
+
+def _pixels(image: ArrayLike, channels: tuple[str, ...] | None, half: bool) -> Planes:
     """Return the channels of a picture by name."""
     image = np.asarray(image)
     if image.ndim != 3 or 0 in image.shape:
@@ -287,7 +327,7 @@ def _open(path: str | PathLike[str], header_only: bool = False) -> Any:
             raise ValueError(f"{path}: this is no OpenEXR file")
     try:
         opened = OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
-    except RuntimeError as error:
+    except (RuntimeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: the OpenEXR file is damaged ({error})") from None
     if not opened.parts:
         raise ValueError(f"{path}: the OpenEXR file is damaged: it has no complete picture")
@@ -313,9 +353,17 @@ def _channel_names(part: Any) -> tuple[str, ...]:
     return tuple(sorted(part.channels, key=order))
 
 
-def _image(part: Any) -> Image:
-    pixels = [part.channels[name].pixels for name in _channel_names(part)]
-    return np.stack(pixels, axis=-1).astype(np.float32)
+def _image(path: str | PathLike[str], part: Any) -> Image:
+    return np.stack(list(_planes(path, part).values()), axis=-1).astype(np.float32)
+
+
+def _planes(path: str | PathLike[str], part: Any) -> Planes:
+    """Return the pixels of a part, if they are those that were written."""
+    planes = {name: part.channels[name].pixels for name in _channel_names(part)}
+    wanted = part.header.get(CHECKSUM)
+    if wanted is not None and wanted != _checksum(_texts(part.header), planes):
+        raise ValueError(f"{path}: the OpenEXR file is damaged: its checksum is wrong")
+    return planes
 
 
 # ---- For the screen ----

@@ -426,6 +426,9 @@ class ProjectedSolidAngle:
     The strategy draws as `solid_angle` does in media, where there is no normal, and where the
     cosine hardly varies over the light.
 
+    Towards a sphere that the horizon does not divide, the density is the cosine over the
+    irradiance, with a small uniform share close to the horizon (`cap`).
+
     Parameters
     ----------
     one_sided

@@ -7,6 +7,9 @@ from pathlib import Path
 from ..files import images
 from ..files.images import Image
 
+# Bytes of pictures that may be looked at again; later ones are read a second time.
+LIMIT = 2**30
+
 
 class Album:
     """Pictures by their files; the memory that they take is freed with the album."""
@@ -23,7 +26,16 @@ class Album:
             self.keep(file, images.read_exr(file))
         return self._pictures[file]
 
+    def look(self, file: Path) -> Image:
+        """Return a picture that will not be asked for again; errors are those of :meth:`read`."""
+        return self._pictures.pop(file) if file in self._pictures else images.read_exr(file)
+
     def keep(self, file: Path, image: Image) -> None:
         """Take what a file holds, for those who ask later."""
         image.flags.writeable = False  # All of them see the same memory.
         self._pictures[file] = image
+
+    def keep_if_small(self, file: Path, image: Image) -> None:
+        """Take what a file holds if there is room."""
+        if sum(one.nbytes for one in self._pictures.values()) + image.nbytes <= LIMIT:
+            self.keep(file, image)

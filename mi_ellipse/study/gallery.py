@@ -1,10 +1,10 @@
-"""Render the pictures of a comparison with their times, and keep them for the next run."""
+"""Render the pictures of a comparison, and keep them for the next run."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import quote
 
@@ -15,8 +15,10 @@ from ..files import images
 from ..files.images import Image
 from ..rendering import provenance
 from ..rendering.changes import UNCHANGED, Changes
-from ..rendering.executor import LocalExecutor
-from ..rendering.job import Rendering, RenderJob, Timing
+from ..rendering.executor import JobExecutor, LocalExecutor
+from ..rendering.job import Rendering, RenderJob
+from . import tidying
+from .album import Album
 from .kinds import split
 
 
@@ -41,8 +43,21 @@ class Picture:
     file: Path
     task: Task
     spp: int  # as taken: some samplers round up
-    timing: Timing  # after a warm-up
-    warm_up: Timing
+
+
+@dataclass
+class Stock:
+    """What a gallery has of the pictures that are asked for."""
+
+    pictures: dict[Task, Picture] = field(default_factory=dict)
+    outdated: list[Task] = field(default_factory=list)  # made with other settings
+    damaged: list[Task] = field(default_factory=list)
+    missing: list[Task] = field(default_factory=list)
+
+    @property
+    def wanted(self) -> list[Task]:
+        """Pictures that need to be rendered."""
+        return [*self.outdated, *self.damaged, *self.missing]
 
 
 class Gallery:
@@ -50,8 +65,8 @@ class Gallery:
     The pictures of one scene in one folder.
 
     A picture counts as there if it was made with the same settings: scene and the files it names,
-    parameters, variant, samples, seed, strategy, grouping, versions, the package's own rendering
-    code, and the machine, since its times are kept with it.
+    parameters, variant, samples, seed, strategy, grouping, versions and the package's own rendering
+    code. Pictures of earlier runs, which were put away, count as well.
     """
 
     def __init__(
@@ -59,63 +74,69 @@ class Gallery:
         folder: Path,
         scene_file: Path,
         parameters: Mapping[str, str],
+        album: Album | None = None,
         changes: Changes = UNCHANGED,
+        executor: JobExecutor | None = None,  # by default one in this process
     ):
         self.folder = folder
         self.scene_file = scene_file
         self.parameters = dict(parameters)
         self.changes = changes
-        self._settings = settings(scene_file, parameters, changes)
-        self._settings |= {
-            "picture_digest": provenance.picture_digest(),
-            "machine": provenance.machine(),
-        }
+        self._album = album or Album()
+        self._executor = executor
+        self.machine = (executor or LocalExecutor()).machine()  # that renders, alone
+        self.settings = settings(scene_file, parameters, changes)
+        self.settings |= {"picture_digest": provenance.picture_digest()}
 
-    def find(self, task: Task) -> Picture | None:
-        """Return the picture if it is there and fits."""
-        file = self._file(task)
-        if not file.exists():
-            return None
-        found = images.read_metadata(file)
-        wanted = self._settings | _settings_of(task)
-        if any(name not in found or found[name] != value for name, value in wanted.items()):
-            return None
-        timing, warm_up = (Timing(**json.loads(found[name])) for name in ("timing", "warm_up"))
-        return Picture(file, task, int(found["spp"]), timing, warm_up)
+    def take_stock(self, tasks: Sequence[Task]) -> Stock:
+        """Read the pictures that are there, and tell which of them can be used."""
+        stock = Stock()
+        for task in tasks:
+            file = self._file(task)
+            tidying.fetch(file)
+            try:
+                image, found = images.read_picture(file)
+                picture = self._picture(task, found)
+            except FileNotFoundError:
+                stock.missing.append(task)
+            except ValueError:
+                stock.damaged.append(task)
+            else:
+                if picture is None:
+                    stock.outdated.append(task)
+                else:
+                    stock.pictures[task] = picture
+                    self._album.keep_if_small(file, image)
+        return stock
 
-    def holds(self, task: Task) -> bool:
-        """Tell whether the picture is there, with whatever settings."""
-        return self._file(task).exists()
+    def _picture(self, task: Task, found: Mapping[str, str]) -> Picture | None:
+        """Return what a file says of its picture, or None if it was made with other settings."""
+        wanted = self.settings | _settings_of(task)
+        if any(found.get(name) != value for name, value in wanted.items()):
+            return None
+        return Picture(self._file(task), task, int(found["spp"]))
 
     def render(
         self, tasks: Sequence[Task], progress: Callable[[Task], None]
     ) -> dict[Task, Picture]:
-        """
-        Render pictures and write them, in an order that is fair to the strategies.
-
-        Strategies take turns, so that a machine that slows down slows all of them. The pictures are
-        rendered on this machine, one at a time, since their times are compared.
-        """
-        self.folder.mkdir(parents=True, exist_ok=True)
-        jobs = {task: self._job(task) for task in sorted(tasks)}
+        """Render pictures whose times are not asked for, and write them."""
+        tasks = sorted(tasks)
         pictures = {}
-        with LocalExecutor() as executor:
-            renderings = executor.map(RenderJob.run, jobs.values())
-            for (task, job), rendering in zip(jobs.items(), renderings, strict=True):
-                image = colour(rendering, f"{task.sampling} at {task.spp} spp, seed {task.seed}")
-                pictures[task] = self._write(task, job, rendering, image)
-                progress(task)
+        jobs = [self.job(task) for task in tasks]
+        renderings = self._executor.map(RenderJob.run, jobs) if self._executor else self.run(jobs)
+        for task, rendering in zip(tasks, renderings, strict=True):
+            pictures[task] = self.keep(task, rendering)
+            progress(task)
         return pictures
 
-    def _write(self, task: Task, job: RenderJob, rendering: Rendering, image: Image) -> Picture:
-        assert rendering.warm_up is not None  # Each job of the gallery asks for it.
-        times = {"timing": rendering.timing, "warm_up": rendering.warm_up}
-        description = provenance.describe(job, rendering) | self._settings | _settings_of(task)
-        description |= {name: json.dumps(asdict(time)) for name, time in times.items()}
-        images.write_exr(self._file(task), image, description)
-        return Picture(self._file(task), task, rendering.spp, rendering.timing, rendering.warm_up)
+    def run(self, jobs: Sequence[RenderJob]) -> Generator[Rendering, None, None]:
+        """Yield the renderings of jobs, rendered one at a time on one machine, in their order."""
+        with ExitStack() as stack:
+            executor = self._executor or stack.enter_context(LocalExecutor())
+            yield from stack.enter_context(executor.alone()).map(RenderJob.run, jobs)
 
-    def _job(self, task: Task) -> RenderJob:
+    def job(self, task: Task, warm_up: bool = False) -> RenderJob:
+        """Return the job of a picture; with a `warm_up` where its time is asked for."""
         strategy, grouping = split(task.sampling)
         return RenderJob(
             self.scene_file,
@@ -124,10 +145,28 @@ class Gallery:
             strategy,
             task.spp,
             task.seed,
-            warm_up=True,
+            warm_up=warm_up,
             grouping=grouping,
             changes=self.changes,
         )
+
+    def keep(self, task: Task, rendering: Rendering) -> Picture:
+        """
+        Write a picture with its settings.
+
+        Raises
+        ------
+        ValueError
+            If it has no colour, or pixels that are not finite, see :func:`colour`.
+        """
+        image = colour(rendering, f"{task.sampling} at {task.spp} spp, seed {task.seed}")
+        description = provenance.describe(self.job(task), rendering)
+        description |= self.settings | _settings_of(task)
+        file = self._file(task)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        images.write_exr(file, image, description)
+        self._album.keep_if_small(file, image)
+        return Picture(file, task, rendering.spp)
 
     def _file(self, task: Task) -> Path:
         return self.folder / f"{task.name}.exr"

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
-from ..files import atomic, images
+from ..files import sealed
 from ..files.images import Image
 from .album import Album
 from .gallery import Picture
@@ -17,9 +14,7 @@ from .metrics import METRICS, Pair
 from .reference import Reference
 from .results import Measurement
 from .statistics import efficiency, estimate
-
-# Strategy, and samples per pixel as asked for
-Key = tuple[str, int]
+from .timing import Key, TimedPair, Times
 
 # One picture a seed
 Pictures = dict[Key, tuple[Picture, ...]]
@@ -32,7 +27,12 @@ Progress = Callable[[str, int, int], None]
 
 
 def measure(
-    folder: Path, pictures: Pictures, reference: Reference, album: Album, progress: Progress
+    folder: Path,
+    pictures: Pictures,
+    reference: Reference,
+    album: Album,
+    progress: Progress,
+    say: Callable[[str], None],
 ) -> dict[Key, Values]:
     """
     Measure all pictures. The slow metrics are measured only where their values are not known.
@@ -45,18 +45,18 @@ def measure(
         What to compare. Each file is read once.
     album
         Takes the pictures of the first seed, which are shown later.
-    progress
-        Called with the number of pictures done and their total.
+    progress, say
+        Called with the number of pictures done and their total, and with sentences for the user.
     """
     truth = album.read(reference.file)
-    known = _Known(folder / "slow_metrics.json", truth)
+    known = _Known(folder / "slow_metrics.json", truth, say)
     total = sum(len(group) for group in pictures.values())
     done, result = 0, {}
     for key, group in pictures.items():
         measured = []
         for picture in group:
             is_shown = picture is group[0]
-            image = album.read(picture.file) if is_shown else images.read_exr(picture.file)
+            image = album.read(picture.file) if is_shown else album.look(picture.file)
             measured.append(_measure(image, truth, known))
             done += 1
             progress("metrics", done, total)
@@ -66,7 +66,11 @@ def measure(
 
 
 def summarize(
-    kind: str, keys: Sequence[Key], pictures: Pictures, values: Mapping[Key, Values]
+    kind: str,
+    keys: Sequence[Key],
+    pictures: Pictures,
+    values: Mapping[Key, Values],
+    times: Times,
 ) -> list[Measurement]:
     """
     Gather what is known of strategies that are compared with one another.
@@ -79,44 +83,39 @@ def summarize(
         The strategies and their samples; all are compared with the first one.
     pictures, values
         All pictures, and their errors.
+    times
+        Those of the strategies beside the first one.
     """
-    return [_summarize(kind, key, keys[0], pictures, values) for key in keys]
+    return [_summarize(kind, key, keys[0], pictures, values, times) for key in keys]
 
 
 def _summarize(
-    kind: str, key: Key, first: Key, pictures: Pictures, values: Mapping[Key, Values]
+    kind: str,
+    key: Key,
+    first: Key,
+    pictures: Pictures,
+    values: Mapping[Key, Values],
+    times: Times,
 ) -> Measurement:
     group = pictures[key]
-    efficiencies = {
-        name: efficiency(
-            values[first][name], _seconds(pictures[first]), values[key][name], _seconds(group)
-        )
-        for name, metric in METRICS.items()
-        if metric.efficiency
-    }
+    paired = tuple(times[TimedPair(kind, first, key, picture.task.seed)] for picture in group)
+    first_seconds = [time.first_seconds for time in paired]
+    seconds = [time.timing.total for time in paired]
     return Measurement(
         kind=kind,
         sampling=key[0],
         spp=key[1],
         first_spp=first[1],
         pictures=group,
+        times=paired,
         values=values[key],
         errors={metric: estimate(of_seeds) for metric, of_seeds in values[key].items()},
-        seconds=median(group, "total"),
-        tracing_seconds=median(group, "tracing"),
-        execution_seconds=median(group, "execution"),
-        compilation_seconds=max(one.warm_up.compilation for one in group),
-        efficiency=efficiencies,
+        efficiency={
+            name: efficiency(values[first][name], first_seconds, values[key][name], seconds)
+            for name, metric in METRICS.items()
+            if metric.efficiency
+        },
     )
-
-
-def median(pictures: Sequence[Picture], part: str) -> float:
-    """Return the median seconds of a part of the renders, see `Timing`."""
-    return float(np.median([getattr(picture.timing, part) for picture in pictures]))
-
-
-def _seconds(pictures: Sequence[Picture]) -> list[float]:
-    return [picture.timing.total for picture in pictures]
 
 
 def _measure(image: Image, truth: Image, known: _Known) -> dict[str, float]:
@@ -130,11 +129,15 @@ def _measure(image: Image, truth: Image, known: _Known) -> dict[str, float]:
 class _Known:
     """Values of slow metrics that were measured before, by the pixels that they belong to."""
 
-    def __init__(self, file: Path, reference: Image):
+    def __init__(self, file: Path, reference: Image, say: Callable[[str], None]):
         self._file = file
-        self._values: dict[str, float] = (
-            json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
-        )
+        self._values: dict[str, float] = {}
+        try:
+            self._values = sealed.read_json(file)
+        except FileNotFoundError:
+            pass
+        except ValueError:
+            say(f"{file.name} was damaged and is computed again")
         self._of_reference = hashlib.sha256(reference.tobytes())
 
     def value(self, metric: str, pair: Pair) -> float:
@@ -148,4 +151,4 @@ class _Known:
 
     def save(self) -> None:
         """Keep the values for the next run."""
-        atomic.write_text(self._file, json.dumps(self._values))
+        sealed.write_json(self._file, self._values)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..files import atomic, images
 from ..files.images import Image
 from ..rendering.changes import UNCHANGED, Changes
+from ..rendering.division import SAMPLES_PER_PASS, pass_size
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import RenderJob
 from ..rendering.passes import check_pass_count
@@ -22,9 +23,6 @@ from .gallery import colour, settings, variant
 from .metrics import flip, reference_errors
 
 SEED = 20170419  # the halves' passes take their seeds from it
-
-# Some seconds on a few processor cores: no more is lost in an interruption.
-SAMPLES_PER_PASS = 2**24
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,7 @@ class Reference:
 
 
 @dataclass
-class _Half:
+class Half:
     """Sum of the passes so far."""
 
     file: Path
@@ -48,20 +46,37 @@ class _Half:
     passes: int = 0
 
     @classmethod
-    def open(cls, file: Path, settings: Mapping[str, str]) -> _Half:
+    def read(cls, file: Path) -> Half:
+        """
+        Return the half on disk.
+
+        Raises
+        ------
+        ValueError
+            If the file is damaged; NumPy's files carry checksums.
+        FileNotFoundError
+            If there is none.
+        """
+        try:
+            with np.load(file) as saved:
+                settings, total = str(saved["settings"]), saved["total"]
+                return cls(file, settings, total, int(saved["spp"]), int(saved["passes"]))
+        except FileNotFoundError:
+            raise
+        except Exception as error:  # Zip files, headers and entries fail in a dozen ways.
+            raise ValueError(f"{file} is damaged: {error}") from None
+
+    @classmethod
+    def open(cls, file: Path, settings: Mapping[str, str], say: Callable[[str], None]) -> Half:
         """Continue the half on disk, or start one."""
         text = json.dumps(dict(settings), sort_keys=True)
-        if not file.exists():
+        try:
+            half = cls.read(file)
+        except FileNotFoundError:
             return cls(file, text, np.zeros(()))
-
-        with np.load(file) as saved:
-            half = cls(
-                file,
-                str(saved["settings"]),
-                saved["total"],
-                int(saved["spp"]),
-                int(saved["passes"]),
-            )
+        except ValueError:
+            say(f"{file.parent.name}/{file.name} was damaged and is rendered again")
+            return cls(file, text, np.zeros(()))
         if half.settings != text:
             before = json.loads(half.settings)
             changed = sorted(name for name in settings if before.get(name) != settings[name])
@@ -119,7 +134,7 @@ def render_reference(
     say
         Called with sentences for the user.
     samples_per_pass
-        Pixels times samples per pixel of one pass, about.
+        Pixels times samples per pixel of one pass, at most.
     executor
         Where the passes are rendered; by default in this process. Sums do not depend on it.
     album
@@ -135,11 +150,12 @@ def render_reference(
     folder.mkdir(parents=True, exist_ok=True)
     shared = settings(scene_file, parameters, changes)
     halves = [
-        _Half.open(folder / f"half_{i}.npz", shared | {"seed": f"{SEED}, {i}"}) for i in (1, 2)
+        Half.open(folder / f"half_{i}.npz", shared | {"seed": f"{SEED}, {i}"}, say) for i in (1, 2)
     ]
     target = (spp + 1) // 2
     done = sum(half.spp for half in halves)
-    if all(half.spp >= target for half in halves):
+    grown = any(half.spp < target for half in halves)
+    if not grown:
         say(f"Reference: reused, {done} spp")
     else:
         if done:
@@ -155,7 +171,7 @@ def render_reference(
         "parameters": json.dumps(dict(parameters)),
         "sampling": "as in the scene",
     }
-    return _write(folder, halves, about, album or Album())
+    return _write(folder, halves, about, album or Album(), None if grown else say)
 
 
 # A half, by its index, and a job that adds to it
@@ -163,11 +179,11 @@ _Pass = tuple[int, RenderJob]
 
 
 def _plan(
-    halves: Sequence[_Half], job: RenderJob, target: int, samples_per_pass: int, executor: Executor
+    halves: Sequence[Half], job: RenderJob, target: int, samples_per_pass: int, executor: Executor
 ) -> Iterator[_Pass]:
     """Yield the missing passes, the halves in turn, until each has `target` samples per pixel."""
     width, height = executor.submit(job.plan).result().film_size
-    size = max(1, samples_per_pass // (width * height))
+    size = pass_size(width * height, samples_per_pass)
     check_pass_count(2 * target, 2 * (target // size))
     taken: dict[int, int] = {}  # by the samples per pixel asked for; some samplers round up
     spp, numbers = [half.spp for half in halves], [half.passes for half in halves]
@@ -176,7 +192,7 @@ def _plan(
         asked = min(size, target - spp[index])
         # The same words come first however many are generated: a seed belongs to its pass.
         seeds = np.random.SeedSequence([SEED, index]).generate_state(numbers[index] + 1)
-        a_pass = replace(job, spp=asked, seed=int(seeds[-1]))
+        a_pass = replace(job, spp=asked, seed=int(seeds[-1]), repeatable=True)
         yield index, a_pass
         if asked not in taken:
             taken[asked] = executor.submit(a_pass.plan).result().spp
@@ -185,7 +201,7 @@ def _plan(
 
 
 def _add(
-    halves: Sequence[_Half],
+    halves: Sequence[Half],
     passes: Sequence[_Pass],
     executor: Executor,
     progress: Callable[[int], None],
@@ -199,8 +215,14 @@ def _add(
         progress(sum(half.spp for half in halves))
 
 
-def _write(folder: Path, halves: list[_Half], about: dict[str, str], album: Album) -> Reference:
-    """Write the halves and their mean as pictures, unless they are there already."""
+def _write(
+    folder: Path,
+    halves: Sequence[Half],
+    about: Mapping[str, str],
+    album: Album,
+    say: Callable[[str], None] | None,
+) -> Reference:
+    """Write the halves and their mean as pictures; `say` names files that should be there."""
     spp = sum(half.spp for half in halves)
     first, second = (half.image for half in halves)
     image: Image = (first + second) / np.float32(2)
@@ -208,11 +230,28 @@ def _write(folder: Path, halves: list[_Half], about: dict[str, str], album: Albu
         raise ValueError("the reference is black: there is nothing to compare")
 
     file = folder / "reference.exr"
-    if not file.exists() or not np.array_equal(album.read(file), image):
-        for i, half in enumerate((first, second), start=1):
-            own = {"spp": str(halves[i - 1].spp), "seed": f"{SEED}, half {i}"}
-            images.write_exr(folder / f"half_{i}.exr", half, about | own)
-        images.write_exr(file, image, about | {"spp": str(spp), "seed": str(SEED)})
-        images.write_png(file.with_suffix(".png"), image, images.choose_exposure(image))
+    for i, (picture, half) in enumerate(zip((first, second), halves, strict=True), start=1):
+        own = {"spp": str(half.spp), "seed": f"{SEED}, half {i}"}
+        _write_picture(folder / f"half_{i}.exr", picture, {**about, **own}, say)
+    _write_picture(file, image, {**about, "spp": str(spp), "seed": str(SEED)}, say)
+    images.write_png(file.with_suffix(".png"), image, images.choose_exposure(image))
     album.keep(file, image)
     return Reference(file, spp, reference_errors(first, second), flip(first, second))
+
+
+def _write_picture(
+    file: Path, image: Image, about: Mapping[str, str], say: Callable[[str], None] | None
+) -> None:
+    """Write a picture, unless it is there as it should be."""
+    if say is not None:
+        state = "was outdated"
+        try:
+            found, metadata = images.read_picture(file)
+            if np.array_equal(found, image) and metadata.get("spp") == about["spp"]:
+                return
+        except FileNotFoundError:
+            state = "was missing"
+        except ValueError:
+            state = "was damaged"
+        say(f"{file.parent.name}/{file.name} {state} and is written again")
+    images.write_exr(file, image, about)

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..files import atomic, images
+from ..files import atomic, images, sealed
 from ..files.images import Image
-from ..rendering.job import Timing
 from .album import Album
 from .gallery import Picture, Task
 from .metrics import METRICS
 from .reference import Reference
-from .statistics import Efficiency, Estimate
+from .statistics import Efficiency, Estimate, Spread
+from .timing import PairedTime
 
 EQUAL_SAMPLES = "equal samples"
 EQUAL_TIME = "equal time"
@@ -27,8 +26,14 @@ EQUAL_TIME = "equal time"
 # Beyond this share of a measured error, the reference's own error is no longer negligible.
 TOLERATED_REFERENCE_ERROR = 0.05
 
+# Times that differ by more are not called equal.
+TOLERATED_TIME = 0.1
+
+# For a folder that is damaged or of another version
+REMEDY = "run `mi-ellipse compare` with the same arguments again"
+
 # Of `results.json`; to be raised when its entries change.
-FORMAT = 2
+FORMAT = 3
 
 
 @dataclass(frozen=True)
@@ -40,13 +45,44 @@ class Measurement:
     spp: int  # as asked for
     first_spp: int  # samples of the first strategy that this is compared with
     pictures: tuple[Picture, ...]  # one a seed
+    times: tuple[PairedTime, ...]  # beside the first strategy, one a seed
     values: dict[str, tuple[float, ...]]  # metric → one value a seed
     errors: dict[str, Estimate]  # metric → mean over the seeds
-    seconds: float  # of a render after a warm-up: tracing and execution; median, as the next two
-    tracing_seconds: float
-    execution_seconds: float
-    compilation_seconds: float  # longest of the warm-ups; zero if Dr.Jit knew the kernel
     efficiency: dict[str, Efficiency]  # metric → 1 / (error · seconds), relative to the first one
+
+    @property
+    def seconds(self) -> Spread:
+        """Seconds of a render after a warm-up: tracing and execution."""
+        return Spread.of([one.timing.total for one in self.times])
+
+    @property
+    def ratio(self) -> Spread:
+        """
+        Time over that of the first strategy in the same turn.
+
+        That of the first one itself is the ratio of its two renders in a turn.
+        """
+        return Spread.of([one.ratio for one in self.times])
+
+    @property
+    def tracing_seconds(self) -> float:
+        """Median of a part of the time, as the next one."""
+        return Spread.of([one.timing.tracing for one in self.times]).median
+
+    @property
+    def execution_seconds(self) -> float:
+        """See :class:`mi_ellipse.rendering.passes.Timing`."""
+        return Spread.of([one.timing.execution for one in self.times]).median
+
+    @property
+    def compilation_seconds(self) -> float:
+        """Longest of the warm-ups; zero if Dr.Jit knew the kernel."""
+        return max(one.warm_up.compilation for one in self.times)
+
+    @property
+    def is_off(self) -> bool:
+        """Whether the time differs from that of the first strategy by more than is tolerated."""
+        return abs(math.log(self.ratio.median)) > math.log(1 + TOLERATED_TIME)
 
 
 @dataclass(frozen=True)
@@ -84,14 +120,25 @@ class Comparison:
 
     def reference_image(self) -> Image:
         """Return the reference; it is read once."""
-        return self.album.read(self.reference.file)
+        return self._read(self.reference.file)
 
     def image(self, measurement: Measurement) -> Image:
         """Return the picture of the first seed; it is read once."""
-        return self.album.read(measurement.pictures[0].file)
+        return self._read(measurement.pictures[0].file)
+
+    def _read(self, file: Path) -> Image:
+        try:
+            return self.album.read(file)
+        except FileNotFoundError:
+            raise ValueError(f"{file} is missing; {REMEDY}") from None
+        except ValueError as error:
+            raise ValueError(f"{error}; {REMEDY}") from None
 
     def warnings(self) -> list[str]:
-        """Return a sentence if the reference is not good enough for every measured error."""
+        """Return a sentence for each reason not to trust a number."""
+        return [*self._warnings_of_reference(), *self._warnings_of_times()]
+
+    def _warnings_of_reference(self) -> list[str]:
         own = self.reference.errors
         share, metric, one = max(
             (
@@ -109,6 +156,37 @@ class Comparison:
             f" of the {one.errors[metric.name].mean:.2g} measured for {one.sampling} at"
             f" {one.spp} spp: it needs more samples than its {self.reference.spp}."
         ]
+
+    def _warnings_of_times(self) -> list[str]:
+        """Name the worst of the times that should be equal, and are not."""
+        warnings = []
+        first = self.strategies[0]
+        off = [one for one in self.measurements if one.is_off]
+        unsteady = [one for one in off if one.sampling == first]
+        unequal = [one for one in off if one.sampling != first and one.kind == EQUAL_TIME]
+        if unsteady:
+            worst = max(unsteady, key=_distance)
+            warnings.append(
+                f"{first} at {worst.spp} spp, timed beside itself, took {worst.ratio.median:.2f}"
+                f" times as long{_others(unsteady)}: the machine was busy. Efficiencies and equal"
+                " times are no better than that."
+            )
+        if unequal:
+            worst = max(unequal, key=_distance)
+            warnings.append(
+                f"At equal time, {worst.sampling} at {worst.spp} spp took"
+                f" {worst.ratio.median:.2f} times as long as {first} at"
+                f" {worst.first_spp}{_others(unequal)}: these errors are not those of equal times."
+            )
+        return warnings
+
+
+def _distance(one: Measurement) -> float:
+    return abs(math.log(one.ratio.median))
+
+
+def _others(off: Sequence[Measurement]) -> str:
+    return f" (and {len(off) - 1} more)" if len(off) > 1 else ""
 
 
 # ---- Writing ----
@@ -129,8 +207,7 @@ def write(comparison: Comparison) -> tuple[Path, Path]:
     files = comparison.folder / "results.csv", comparison.folder / "results.json"
     atomic.write_text(files[0], table.getvalue())
     # JSON knows no NaN: without a second seed there is no standard error and no interval.
-    text = json.dumps(_without_nan(_document(comparison)), indent=1, allow_nan=False)
-    atomic.write_text(files[1], text + "\n")
+    sealed.write_json(files[1], _without_nan(_document(comparison)))
     return files
 
 
@@ -177,8 +254,7 @@ def _entry(comparison: Comparison, measurement: Measurement) -> dict[str, object
         {
             "file": _relative(picture.file, comparison.folder),
             "seed": picture.task.seed,
-            "timing": asdict(picture.timing),
-            "warm_up": asdict(picture.warm_up),
+            "time": asdict(measurement.times[i]),
             "errors": {metric: values[i] for metric, values in measurement.values.items()},
         }
         for i, picture in enumerate(measurement.pictures)
@@ -198,7 +274,12 @@ def _summary(measurement: Measurement) -> dict[str, object]:
         "sampling": measurement.sampling,
         "spp": measurement.spp,
         "spp_taken": measurement.pictures[0].spp,
-        "seconds": measurement.seconds,
+        "seconds": measurement.seconds.median,
+        "seconds_low": measurement.seconds.low,
+        "seconds_high": measurement.seconds.high,
+        "time_ratio": measurement.ratio.median,
+        "time_ratio_low": measurement.ratio.low,
+        "time_ratio_high": measurement.ratio.high,
         "tracing_seconds": measurement.tracing_seconds,
         "execution_seconds": measurement.execution_seconds,
         "compilation_seconds": measurement.compilation_seconds,
@@ -246,18 +327,15 @@ def read(folder: str | os.PathLike[str]) -> Comparison:
             " `mi-ellipse compare` wrote to"
         )
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-        found = document.get("format") if isinstance(document, dict) else None
-        if found != FORMAT:
-            raise ValueError(
-                f"{file} has format {found}, and this version reads {FORMAT}: run `mi-ellipse"
-                " compare` with the same arguments again"
-            )
-        return _comparison(folder, document)
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{file} is damaged: {error}") from None
-    except (KeyError, TypeError) as error:
-        raise ValueError(f"{file} is damaged: it lacks or misspells {error}") from None
+        document = sealed.parse(file)
+        if document.get("format") == FORMAT:
+            sealed.verify(file, document)
+            return _comparison(folder, document)
+    except ValueError as error:
+        raise ValueError(f"{error}; {REMEDY}") from None
+    raise ValueError(
+        f"{file} has format {document.get('format')}, and this version reads {FORMAT}; {REMEDY}"
+    )
 
 
 def _comparison(folder: Path, document: dict[str, Any]) -> Comparison:
@@ -293,11 +371,10 @@ def _measurement(folder: Path, entry: dict[str, Any]) -> Measurement:
                 folder / picture["file"],
                 Task(picture["seed"], entry["sampling"], entry["spp"]),
                 entry["spp_taken"],
-                Timing(**picture["timing"]),
-                Timing(**picture["warm_up"]),
             )
             for picture in pictures
         ),
+        times=tuple(PairedTime.read(picture["time"]) for picture in pictures),
         values={
             metric: tuple(picture["errors"][metric] for picture in pictures)
             for metric in entry["errors"]
@@ -306,10 +383,6 @@ def _measurement(folder: Path, entry: dict[str, Any]) -> Measurement:
             metric: Estimate(error["mean"], error.get("standard_error", math.nan))
             for metric, error in entry["errors"].items()
         },
-        seconds=entry["seconds"],
-        tracing_seconds=entry["tracing_seconds"],
-        execution_seconds=entry["execution_seconds"],
-        compilation_seconds=entry["compilation_seconds"],
         efficiency={
             metric: Efficiency(one["value"], one.get("low", math.nan), one.get("high", math.nan))
             for metric, one in entry["efficiency"].items()

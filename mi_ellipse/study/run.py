@@ -10,18 +10,33 @@ from pathlib import Path
 import numpy as np
 
 from ..files import images
+from ..files.lock import only_one
 from ..rendering.changes import UNCHANGED, Changes
-from ..rendering.job import MAX_SPP
-from ..rendering.provenance import machine
-from ..rendering.rewrite import check_choice
+from ..rendering.executor import JobExecutor
 from ..rendering.scene import parse_scene
-from . import results
+from . import origin, results, tidying
 from .album import Album
-from .gallery import Gallery, Task, settings
-from .kinds import split
-from .measuring import Key, Pictures, Progress, measure, median, summarize
+from .checks import Request, check
+from .drawing.insets import Inset
+from .gallery import Gallery, Stock, Task, settings
+from .measuring import Pictures, Progress, measure, summarize
 from .reference import render_reference
-from .results import EQUAL_SAMPLES, EQUAL_TIME, Comparison, Measurement
+from .results import EQUAL_SAMPLES, EQUAL_TIME, Comparison
+from .statistics import Spread
+from .timing import FILE as TIMES
+from .timing import (
+    Key,
+    TimedPair,
+    Times,
+    match_samples,
+    overhead_in_samples,
+    plan_turns,
+    take_turns,
+)
+
+# Strategies and samples that are compared with each other, by their kind and the samples of the
+# first one
+Groups = dict[tuple[str, int], list[Key]]
 
 LARGEST_HALF = 65504.0  # that half precision holds
 
@@ -36,7 +51,10 @@ def compare(
     parameters: Mapping[str, str] | None = None,
     progress: Progress = lambda step, done, total: None,
     say: Callable[[str], None] = print,
+    insets: Sequence[Inset] | None = None,
+    finish: Callable[[Comparison], None] = lambda comparison: None,
     changes: Changes = UNCHANGED,
+    executor: JobExecutor | None = None,
 ) -> Comparison:
     """
     Compare sampling strategies in a scene with a reference, at equal samples and at equal time.
@@ -66,147 +84,192 @@ def compare(
         Values for the scene's ``<default>`` parameters.
     progress, say
         Called with the progress of a step, and with sentences for the user.
+    insets
+        Regions that figures will enlarge. They are checked here, before hours of rendering.
+    finish
+        Called with the comparison while no other process can work in the folder.
     changes
         Of the scene, for all pictures and the reference.
+    executor
+        Where pictures and reference are rendered; by default in this process. Pictures are timed,
+        so they are rendered alone on one machine; only the reference is spread.
 
     Raises
     ------
     ValueError
-        For an unknown strategy, a picture with NaN or infinite pixels, a black reference, or a
-        folder that holds a reference with other settings.
+        For an unknown strategy, impossible counts or insets, a folder that another process works
+        in or that was made from another scene; nothing is written then. For a picture with NaN or
+        infinite pixels, or a black reference.
     """
-    scene_file, folder, parameters = Path(scene_file), Path(folder), dict(parameters or {})
-    strategies, spp = tuple(dict.fromkeys(strategies)), tuple(sorted(set(spp)))
-    _check(strategies, spp, reference_spp)
+    request = Request(
+        Path(scene_file),
+        Path(folder),
+        tuple(dict.fromkeys(strategies)),
+        tuple(sorted(set(spp))),
+        reference_spp,
+        seeds,
+        dict(parameters or {}),
+        insets,
+        changes,
+    )
+    check(request)
     if changes.convert_lamps:
-        say(f"{parse_scene(scene_file, parameters).conversion()}")
+        say(f"{parse_scene(request.scene_file, request.parameters).conversion()}")
+    request.folder.mkdir(parents=True, exist_ok=True)
+    with only_one(request.folder):
+        tidying.remove_remains(request.folder)
+        for name in origin.claim(request.folder, origin.Origin.of(request)):
+            say(f"{name} was damaged and is made again")
+        comparison = _run(request, progress, say, executor)
+        finish(comparison)
+    return comparison
+
+
+def _run(
+    request: Request,
+    progress: Progress,
+    say: Callable[[str], None],
+    executor: JobExecutor | None,
+) -> Comparison:
+    """Render and measure what was asked for, and write the results."""
+    scene_file, parameters, folder = request.scene_file, request.parameters, request.folder
+    strategies, spp = request.strategies, request.spp
+    album = Album()
+    gallery = Gallery(folder / "pictures", scene_file, parameters, album, request.changes, executor)
+    times = Times(folder / TIMES, gallery.settings | {"machine": gallery.machine}, say)
 
     # Pictures come first: they show within seconds whether the scene renders at all.
-    gallery = Gallery(folder / "pictures", scene_file, parameters, changes)
-    grid = [(name, count) for name in strategies for count in spp]
-    pictures = _fill(gallery, grid, seeds, EQUAL_SAMPLES, progress, say)
-    matches = _match_times(strategies, spp, pictures)
-    grid = [key for key in dict.fromkeys(matches.values()) if key not in pictures]
-    pictures |= _fill(gallery, grid, seeds, EQUAL_TIME, progress, say)
+    groups = {(EQUAL_SAMPLES, n): [(name, n) for name in strategies] for n in spp}
+    pictures: Pictures = {}
+    _fill(pictures, gallery, groups, request.seeds, times, progress, say)
+    equal_time = {(EQUAL_TIME, n): _match(request, n, times) for n in spp}
+    _fill(pictures, gallery, equal_time, request.seeds, times, progress, say)
+    groups |= equal_time
 
-    album = Album()
     reference = render_reference(
         folder / "reference",
         scene_file,
         parameters,
-        reference_spp,
+        request.reference_spp,
         lambda done, total: progress("reference", done, total),
         say,
+        executor=executor,
         album=album,
-        changes=changes,
+        changes=request.changes,
     )
-    values = measure(folder, pictures, reference, album, progress)
-    measurements: list[Measurement] = []
-    for count in spp:
-        keys = [(name, count) for name in strategies]
-        measurements += summarize(EQUAL_SAMPLES, keys, pictures, values)
-    for count in spp:
-        keys = [matches[name, count] for name in strategies]
-        measurements += summarize(EQUAL_TIME, keys, pictures, values)
-
-    about = settings(scene_file, parameters, changes)
+    values = measure(folder, pictures, reference, album, progress, say)
+    measurements = [
+        one
+        for (kind, _), keys in groups.items()
+        for one in summarize(kind, keys, pictures, values, times)
+    ]
+    about = settings(scene_file, parameters, request.changes)
     comparison = Comparison(
-        scene_file, parameters, folder, strategies, spp, seeds, about, machine(), reference,
-        tuple(measurements), album,
+        scene_file, parameters, folder, strategies, spp, request.seeds, about, gallery.machine,
+        reference, tuple(measurements), album,
     )  # fmt: skip
-    results.write(comparison)
-    _write_pngs(comparison)
-    _write_parts(comparison)
+    _write(comparison, say)
     return comparison
 
 
-def match_samples(seconds: float, spp: Sequence[int], measured: Sequence[float]) -> int:
-    """
-    Return the samples per pixel that take `seconds`.
-
-    Parameters
-    ----------
-    seconds
-        The time to match.
-    spp, measured
-        Samples per pixel and the seconds that they took. A line is fitted to them: part of the
-        time is the same for any number of samples. From a single pair, time is proportional.
-    """
-    slope, offset = measured[-1] / spp[-1], 0.0
-    if len(spp) > 1:
-        fitted = np.polyfit(spp, measured, 1, w=1 / np.array(measured))
-        if fitted[0] > 0:  # not so where the samples take no time worth mentioning
-            slope, offset = fitted
-    return max(1, round((seconds - offset) / slope))
-
-
-def _check(strategies: Sequence[str], spp: Sequence[int], reference_spp: int) -> None:
-    for name in strategies:
-        check_choice(split(name)[0])
-    if not strategies or not spp:
-        raise ValueError("a comparison needs a strategy and a number of samples per pixel")
-    for count in (*spp, reference_spp):
-        if not 1 <= count <= MAX_SPP:
-            raise ValueError(f"spp={count}: samples per pixel are from 1 to {MAX_SPP}")
+def _write(comparison: Comparison, say: Callable[[str], None]) -> None:
+    """Write the results and the pictures to look at; put away the pictures of earlier runs."""
+    results.write(comparison)
+    kept = [picture.file for one in comparison.measurements for picture in one.pictures]
+    kept += _write_pngs(comparison)
+    kept += _write_parts(comparison)
+    if moved := tidying.put_away(comparison.folder / "pictures", kept):
+        say(f"Pictures of earlier runs: {moved} files were moved to {tidying.EARLIER}/pictures")
 
 
 # ---- Pictures ----
 
 
 def _fill(
+    pictures: Pictures,
     gallery: Gallery,
-    grid: Sequence[Key],
+    groups: Groups,
     seeds: int,
-    step: str,
+    times: Times,
     progress: Progress,
     say: Callable[[str], None],
-) -> Pictures:
-    """Render the pictures that are missing, and return all of them."""
-    tasks = {key: [Task(seed, *key) for seed in range(1, seeds + 1)] for key in grid}
-    wanted = [task for group in tasks.values() for task in group]
-    found = {task: picture for task in wanted if (picture := gallery.find(task)) is not None}
-    missing = [task for task in wanted if task not in found]
-    if found:
-        say(f"Pictures at {step}: {len(found)} of {len(wanted)} reused")
-    if outdated := sum(gallery.holds(task) for task in missing):
-        say(f"Pictures at {step}: {outdated} were made with other settings and are replaced")
-
-    done, total = 0, sum(task.spp for task in missing)
+) -> None:
+    """Render the pictures and take the times that are missing; `pictures` gets the new ones."""
+    step = next(iter(groups))[0]
+    keys = {key for group in groups.values() for key in group} - set(pictures)
+    tasks = {key: [Task(seed, *key) for seed in range(1, seeds + 1)] for key in sorted(keys)}
+    stock = gallery.take_stock([task for group in tasks.values() for task in group])
+    pairs = [
+        TimedPair(kind, group[0], key, seed)
+        for (kind, _), group in groups.items()
+        for key in group
+        for seed in range(1, seeds + 1)
+    ]
+    turns = list(plan_turns(pair for pair in pairs if pair not in times))
+    timed = [task for turn in turns for task in turn.tasks]
+    untimed = [task for task in stock.wanted if task not in set(timed)]
+    _report(stock, untimed, step, say)
+    done, total = 0, sum(task.spp for task in [*timed, *untimed])
 
     def count(task: Task) -> None:
         nonlocal done
         done += task.spp
         progress(step, done, total)
 
-    if missing:
+    if total:
         progress(step, 0, total)
-        found |= gallery.render(missing, count)
-    return {key: tuple(found[task] for task in group) for key, group in tasks.items()}
+    found = stock.pictures | take_turns(gallery, turns, times, stock.wanted, count)
+    found |= gallery.render(untimed, count)
+    pictures |= {key: tuple(found[task] for task in group) for key, group in tasks.items()}
 
 
-def _match_times(
-    strategies: Sequence[str], spp: Sequence[int], pictures: Pictures
-) -> dict[Key, Key]:
-    """Return, for each strategy and number of samples of the first one, those of equal time."""
-    medians = {key: median(found, "total") for key, found in pictures.items()}
-    first = strategies[0]
-    matches = {(first, count): (first, count) for count in spp}
-    for name in strategies[1:]:
-        measured = [medians[name, count] for count in spp]
-        for count in spp:
-            matched = match_samples(medians[first, count], spp, measured)
-            matches[name, count] = name, matched
-    return matches
+def _report(stock: Stock, untimed: Sequence[Task], step: str, say: Callable[[str], None]) -> None:
+    """Say which pictures are used again and which are not."""
+    reused, total = len(stock.pictures), len(stock.pictures) + len(stock.wanted)
+    if reused:
+        say(f"Pictures at {step}: {reused} of {total} reused")
+    if stock.outdated:
+        count = len(stock.outdated)
+        say(f"Pictures at {step}: {count} were made with other settings and are replaced")
+    for task in stock.damaged:
+        say(f"pictures/{task.name}.exr was damaged and is rendered again")
+    # A picture whose time is known has been there; the others are new.
+    for task in untimed:
+        if task in stock.missing:
+            say(f"pictures/{task.name}.exr was missing and is rendered again")
 
 
-def _write_pngs(comparison: Comparison) -> None:
+def _match(request: Request, count: int, times: Times) -> list[Key]:
+    """Return each strategy with the samples that take as long as `count` ones of the first."""
+    first = request.strategies[0]
+    keys = [(first, count)]
+    for name in request.strategies[1:]:
+        paired = {
+            n: [
+                times[TimedPair(EQUAL_SAMPLES, (first, n), (name, n), seed)]
+                for seed in range(1, request.seeds + 1)
+            ]
+            for n in request.spp
+        }
+        ratio = Spread.of([time.ratio for time in paired[count]]).median
+        seconds = [Spread.of([time.timing.total for time in paired[n]]).median for n in paired]
+        overhead = overhead_in_samples(request.spp, seconds)
+        keys.append((name, match_samples(count, ratio, overhead)))
+    return keys
+
+
+def _write_pngs(comparison: Comparison) -> list[Path]:
     """Write the pictures of the first seed for the screen, all with the same exposure."""
-    shown = {one.pictures[0].file: comparison.image(one) for one in comparison.measurements}
+    shown = {
+        one.pictures[0].file.with_suffix(".png"): comparison.image(one)
+        for one in comparison.measurements
+    }
     for file, image in shown.items():
-        images.write_png(file.with_suffix(".png"), image, comparison.exposure)
+        images.write_png(file, image, comparison.exposure)
+    return list(shown)
 
 
-def _write_parts(comparison: Comparison) -> None:
+def _write_parts(comparison: Comparison) -> list[Path]:
     """
     Write one file a number of samples to step through in a viewer, in half precision.
 
@@ -214,6 +277,7 @@ def _write_parts(comparison: Comparison) -> None:
     (picture minus reference) of each.
     """
     reference = comparison.reference_image()
+    files = []
     for spp in comparison.spp:
         shown = [comparison.find(EQUAL_SAMPLES, name, spp) for name in comparison.strategies]
         pictures = {one.sampling: comparison.image(one) for one in shown}
@@ -230,3 +294,5 @@ def _write_parts(comparison: Comparison) -> None:
         half = all(np.abs(part).max() <= LARGEST_HALF for part in parts.values())
         file = comparison.folder / "pictures" / f"all_{spp}spp.exr"
         images.write_parts(file, parts, about, half=half)
+        files.append(file)
+    return files

@@ -219,6 +219,44 @@ def test_parts_need_names(tmp_path, parts):
         images.write_parts(tmp_path / "parts.exr", parts)
 
 
+# ---- Damage ----
+
+
+def test_no_altered_bit_of_a_picture_is_read_in_silence(tmp_path):
+    image, path = picture(3), tmp_path / "picture.exr"
+    about = {"text": "Größe\n", "count": 3, "seconds": 0.1}
+    images.write_exr(path, image, about)
+    whole, metadata = path.read_bytes(), images.read_metadata(path)
+    choose = np.random.default_rng(1)
+    noticed = 0
+    for place in choose.integers(len(whole), size=300):
+        altered = bytearray(whole)
+        altered[place] ^= 1 << int(choose.integers(8))
+        path.write_bytes(altered)
+        try:
+            found, about = images.read_picture(path)
+        except ValueError as error:
+            noticed += str(path) in str(error)
+            continue
+        # The bit has no part in pixels and settings, as those of the chromaticities.
+        np.testing.assert_array_equal(found, image)
+        assert about == metadata
+    assert noticed > 200
+
+
+def test_files_without_a_checksum_are_read_but_not_taken_for_whole(tmp_path):
+    path = tmp_path / "picture.exr"
+    mi.Bitmap(picture(3)).write(str(path))
+    assert images.read_exr(path).shape == (7, 5, 3)
+    with pytest.raises(ValueError, match="has no checksum"):
+        images.read_picture(path)
+
+
+def test_the_name_of_the_checksum_is_taken(tmp_path):
+    with pytest.raises(ValueError, match="'checksum'"):
+        images.write_exr(tmp_path / "picture.exr", picture(3), {"checksum": "0"})
+
+
 # ---- For the screen ----
 
 

@@ -125,17 +125,20 @@ def test_integral_over_all_lamps(name):
     for view, (point, normal) in VIEWS.items():
         parts = parts_of_integral(lamps, scene, point, normal)
         total, dark = parts.sum(), np.count_nonzero(parts == 0)
-        # The rule has an error of 5e-6 at most here. A fourth of that with twice the nodes.
+        # The rule is off by 5e-6 at most here, and a fourth of that with twice the nodes. Where the
+        # horizon divides a light, the density of `projected_solid_angle` grows at the rim: 9e-5,
+        # and 2e-6 with 1024 nodes.
+        rule = 1.5e-4 if "projected" in name else 2e-5
         if dark == 0:
-            assert total == pytest.approx(1, abs=2e-5), view
+            assert total == pytest.approx(1, abs=rule), view
         elif dark == len(lamps):
             assert part_of_draws(scene, point, normal) == 0, view
         else:
             met = part_of_draws(scene, point, normal)
-            assert total == pytest.approx(met, abs=2e-5 + 2 * len(lamps) / DRAWS), view
+            assert total == pytest.approx(met, abs=rule + 2 * len(lamps) / DRAWS), view
         if len(lamps) <= FEW and dark < len(lamps):
             lost = EQUAL_SHARE * dark / len(lamps)
-            assert total == pytest.approx(1 - lost, abs=2e-5), view
+            assert total == pytest.approx(1 - lost, abs=rule), view
 
 
 # ---- The draws follow the density ----

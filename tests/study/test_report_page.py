@@ -13,15 +13,21 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from conftest import SMALL_SCENE, SMALL_SIZE
+from mi_ellipse.rendering.job import Timing
 from mi_ellipse.study import compare
 from mi_ellipse.study.report import page, write_report
-from mi_ellipse.study.statistics import Efficiency
+from mi_ellipse.study.statistics import Efficiency, Estimate
+from mi_ellipse.study.timing import PairedTime
 
 STRATEGIES = ("area", "solid_angle")
 WIDTH, HEIGHT = SMALL_SIZE
 
 CHROMIUM = os.environ.get("CHROMIUM") or next(
     filter(None, map(shutil.which, ("chromium", "chromium-headless-shell", "google-chrome"))), None
+)
+
+needs_browser = pytest.mark.skipif(
+    CHROMIUM is None, reason="no Chromium found; the CHROMIUM variable may name one"
 )
 
 # Runs in the page: gathers errors, reads the picture, switches to the second one, reads that.
@@ -122,8 +128,12 @@ def test_numbers_are_those_of_the_comparison(comparison, text):
     cells = Page(text).cells
     for measurement in comparison.measurements:
         error = measurement.errors["mse_trimmed"]
-        assert f"{error.mean:.3g} ± {error.standard_error:.1g}" in cells
-        assert f"{measurement.seconds:.3f}" in cells
+        assert f"{error.mean:.3g}\n± {error.standard_error:.1g}" in cells
+        for spread, digits in ((measurement.seconds, 3), (measurement.ratio, 2)):
+            assert (
+                f"{spread.median:.{digits}f}\n[{spread.low:.{digits}f}, {spread.high:.{digits}f}]"
+                in cells
+            )
     assert f"{comparison.reference.errors['mse']:.3g}" in cells
     assert comparison.warnings()[0] in html.unescape(text)
 
@@ -132,20 +142,21 @@ def test_efficiencies_have_their_intervals(comparison, text):
     cells = Page(text).cells
     for measurement in comparison.measurements:
         for one in measurement.efficiency.values():
-            if measurement.sampling == comparison.strategies[0]:
-                assert (one.value, one.low, one.high) == (1, 1, 1)
-                assert "1.00" in cells
-            else:
-                assert f"{one.value:.2f} [{one.low:.2f}, {one.high:.2f}]" in cells
+            ends = [f"{v:.2f}" if 0.005 <= v < 1000 else f"{v:.0e}" for v in (one.low, one.high)]
+            assert f"{one.value:.2f}\n[{ends[0]}, {ends[1]}]" in cells
     assert "Student's t with 1 degree\nof freedom" in html.unescape(text)
 
 
-def with_intervals(comparison, first, second):
-    """The comparison with other ends of the intervals of one efficiency."""
-    ends = {comparison.strategies[0]: first, comparison.strategies[1]: second}
+def with_intervals(comparison, first, second, ratios=(1.0, 1.0)):
+    """The comparison with other ends of the intervals of one efficiency, and other times."""
+    ends = dict(zip(comparison.strategies, (first, second), strict=True))
+    ratio = dict(zip(comparison.strategies, ratios, strict=True))
+    second = Timing(1.0, 0.0, 0.0, 1.0)
     measurements = tuple(
         dataclasses.replace(
-            one, efficiency={"mse": Efficiency(7.25, *ends[one.sampling])}, errors=one.errors
+            one,
+            efficiency={"mse": Efficiency(7.25, *ends[one.sampling])},
+            times=(PairedTime(second, second, 1 / ratio[one.sampling]),),
         )
         for one in comparison.measurements
     )
@@ -164,30 +175,54 @@ def test_bold_is_the_best_by_its_interval_alone(comparison, first, second, bold)
             assert best == [first > second, second > first]
 
 
+def test_no_efficiency_is_best_on_a_machine_that_is_not_as_fast_as_itself(comparison):
+    for ratio, bold in ((1.09, 1), (1 / 1.09, 1), (1.11, 0), (1 / 1.11, 0)):
+        changed = with_intervals(comparison, (1, 2), (3, 4), (ratio, 1.5))
+        for group in page._table(changed, "equal samples"):
+            assert sum(row.costs[0].best for row in group) == bold
+
+
+def test_no_error_is_best_at_equal_time_where_the_times_differ(comparison):
+    errors = {"area": Estimate(2.0, 0.01), "solid_angle": Estimate(1.0, 0.01)}
+    for ratio, bold in ((1.09, 1), (1.11, 0), (1 / 1.11, 0)):
+        changed = with_intervals(comparison, (1, 2), (1, 2), (1.0, ratio))
+        measurements = tuple(
+            dataclasses.replace(one, errors=dict.fromkeys(one.errors, errors[one.sampling]))
+            for one in changed.measurements
+        )
+        changed = dataclasses.replace(changed, measurements=measurements)
+        for kind, expected in (("equal samples", 1), ("equal time", bold)):
+            for group in page._table(changed, kind):
+                assert sum(row.errors[0].best for row in group) == expected
+
+
 def test_curves_are_drawn_inline(text):
     assert text.count("<svg") >= 9
     identifiers = re.findall(r'<clipPath id="([^"]+)"', text)
     assert len(identifiers) == len(set(identifiers)) > 0
 
 
-@pytest.mark.skipif(
-    CHROMIUM is None, reason="no Chromium found; the CHROMIUM variable may name one"
-)
-def test_report_works_in_a_browser(comparison, text, tmp_path):
-    file = tmp_path / "report.html"
-    file.write_text(text.replace("<head>", f"<head>{PROBE}", 1), encoding="utf-8")
+def probe(text, script, folder):
+    """What a script finds in a page, in a window of 1000 × 800 pixels."""
+    file = folder / "report.html"
+    file.write_text(text.replace("<head>", f"<head>{script}", 1), encoding="utf-8")
     process = subprocess.run(
         [
             CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
             "--no-first-run", "--disable-background-networking", "--disable-component-update",
-            "--disable-sync", f"--user-data-dir={tmp_path / 'profile'}",
+            "--disable-sync", f"--user-data-dir={folder / 'profile'}", "--window-size=1000,800",
             "--virtual-time-budget=10000", "--dump-dom", file.as_uri(),
         ],
-        capture_output=True, text=True, timeout=60, check=True,
+        capture_output=True, text=True, timeout=120, check=True,
     )  # fmt: skip
-    probe = re.search(r'<pre id="probe">(.*?)</pre>', process.stdout, re.DOTALL)
-    assert probe, process.stderr
-    result = json.loads(html.unescape(probe.group(1)))
+    found = re.search(r'<pre id="probe">(.*?)</pre>', process.stdout, re.DOTALL)
+    assert found, process.stderr
+    return json.loads(html.unescape(found.group(1)))
+
+
+@needs_browser
+def test_report_works_in_a_browser(comparison, text, tmp_path):
+    result = probe(text, PROBE, tmp_path)
     assert result["problems"] == []
     assert result["names"][1].endswith("area, 2 spp")
 
@@ -200,3 +235,35 @@ def test_report_works_in_a_browser(comparison, text, tmp_path):
         # The copies in the page have 8 bits a channel and a common exponent.
         assert np.abs(shown - 255 * srgb).mean() < 2
     assert result["first"] != result["second"]
+
+
+# What each table needs and what the window gives it
+WIDTHS = """<script>
+window.addEventListener("load", () => {
+    const output = document.createElement("pre");
+    output.id = "probe";
+    output.textContent = JSON.stringify(
+        [...document.querySelectorAll(".scroll")].map(one => [one.scrollWidth, one.clientWidth])
+    );
+    document.body.append(output);
+});
+</script>"""
+
+
+@needs_browser
+def test_tables_fit_a_window_of_1000_pixels(comparison, tmp_path):
+    longest = "projected_solid_angle_one_sided+ungrouped"
+    names = {"solid_angle": longest, "area": "area"}
+    changed = dataclasses.replace(
+        comparison,
+        folder=tmp_path,
+        strategies=tuple(names[name] for name in comparison.strategies),
+        measurements=tuple(
+            dataclasses.replace(one, sampling=names[one.sampling])
+            for one in comparison.measurements
+        ),
+    )
+    widths = probe(write_report(changed).read_text(encoding="utf-8"), WIDTHS, tmp_path)
+    assert len(widths) == 4
+    assert [needed for needed, given in widths if needed > given] == []
+    assert max(given for _, given in widths) <= 1000

@@ -71,10 +71,11 @@ def test_a_single_seed_is_read_back_without_standard_errors(small_scene, tmp_pat
     ("change", "message"),
     [
         (lambda text: text[:-100], "results.json is damaged: "),
-        (lambda text: text.replace('"flip_between_halves"', '"x"'), "flip_between_halves"),
-        (lambda text: text.replace('"tracing"', '"x"'), "results.json is damaged: .*'x'"),
-        (lambda text: text.replace('"format": 2', '"format": 1'), "format 1, .* reads 2: run"),
-        (lambda text: "[]", "format None"),
+        (lambda text: text.replace('"tracing"', '"x"'), "damaged: its checksum is wrong; run"),
+        (lambda text: text.replace('"total": 0', '"total": 1', 1), "its checksum is wrong"),
+        (lambda text: text.replace('"format": 3', '"format": 1'), "format 1, .* reads 3; run"),
+        (lambda text: "{}", "format None"),
+        (lambda text: "[]", "holds no document"),
     ],
 )
 def test_files_that_do_not_fit_are_refused(compared, change, message):

@@ -34,20 +34,25 @@ def test_interval_of_a_mean():
 # ---- Efficiencies ----
 
 
-def test_efficiency_is_that_of_mean_errors_and_median_seconds():
+def test_efficiency_is_that_of_mean_errors_and_median_ratios():
     result = efficiency([2.0, 4.0, 3.0], [5.0, 1.0, 2.0], [1.0, 1.0, 4.0], [4.0, 3.0, 9.0])
-    assert result.value == pytest.approx(3 * 2 / (2 * 4))
+    assert result.value == pytest.approx(3 / 2 * 1 / 3)  # of 5 / 4, 1 / 3 and 2 / 9
     assert result.low * result.high == pytest.approx(result.value**2)
     assert result.low < result.value < result.high
 
 
-def test_efficiency_of_the_first_strategy_is_certain():
-    errors, seconds = [2.0, 4.0, 3.0], [5.0, 1.0, 2.0]
-    result = efficiency(errors, seconds, errors, seconds)
-    assert (result.value, result.low, result.high) == (1, 1, 1)
+def test_efficiency_of_a_strategy_beside_itself_has_the_spread_of_its_times():
+    errors = [2.0, 4.0, 3.0]
+    seconds, again = [5.0, 1.0, 2.0], [5.5, 0.9, 2.0]
+    result = efficiency(errors, seconds, errors, again)
+    assert result.value == 1  # of 1 / 1.1, 1 / 0.9 and 1
+    assert result.low < 0.9
+    assert result.high > 1.1
+    same = efficiency(errors, seconds, errors, seconds)
+    assert (same.value, same.low, same.high) == (1, 1, 1)
 
 
-def test_what_slows_a_seed_of_both_strategies_does_not_count():
+def test_what_slows_a_turn_of_both_strategies_does_not_count():
     load = np.array([1.0, 1.5, 1.0, 0.9])  # of the machine
     result = efficiency([1.0] * 4, 2 * load, [1.0] * 4, 3 * load)
     assert (result.value, result.low, result.high) == pytest.approx((1.5**-1,) * 3)

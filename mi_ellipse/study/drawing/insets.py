@@ -39,7 +39,7 @@ def choose_insets(comparison: Comparison, count: int = 2) -> list[Inset]:
         for name in comparison.strategies
     ]
     height, width = reference.shape[:2]
-    size = max(4, round(INSET_SIZE * min(height, width)))
+    size = min(height, width, max(4, round(INSET_SIZE * min(height, width))))
     means = np.array([_box_means(one, size) for one in shown])
     # With a single strategy, the places where it errs most.
     interest = means.max(axis=0) - (means.min(axis=0) if len(means) > 1 else 0)

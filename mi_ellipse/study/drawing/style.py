@@ -8,9 +8,11 @@ from typing import Any
 from ...rendering.rewrite import BUILT_IN
 from ...sampling import STRATEGIES
 from ..kinds import split
+from .fonts import families
 
 COLUMN_WIDTH = 3.4  # inches, of a page with two columns
 PAGE_WIDTH = 7.1
+DPI = 300  # of pictures and of PNG
 TEXT: dict[Any, Any] = {
     "font.size": 7.5,
     "axes.titlesize": 7.5,
@@ -20,10 +22,17 @@ TEXT: dict[Any, Any] = {
     "axes.linewidth": 0.6,
     "pdf.fonttype": 42,  # text stays text
     "svg.hashsalt": "mi_ellipse",
+    "image.composite_image": False,  # Pictures stay apart, as small as they are.
 }
 
 # Of Mitsuba's own emitter; no strategy is black
 BUILT_IN_STYLE = ("#000000", "*")
+
+
+def text() -> dict[Any, Any]:
+    """Return matplotlib's settings for figures."""
+    return TEXT | {"font.family": list(families())}
+
 
 # Of a choice by lamp, and of a strategy that this version does not know, in results of another one
 OTHER_STYLE = ("#555555", "X")
@@ -58,8 +67,18 @@ def _pale(colour: str) -> str:
 
 def wrap_lines(title: str, inches: float) -> str:
     """Break the lines of a title that are wider than its column."""
-    characters = round(inches / 0.065)  # at the size of titles
-    return "\n".join(part for line in title.split("\n") for part in wrap(line, characters))
+    lines = [part for line in title.split("\n") for part in wrap(line, _characters(inches))]
+    return "\n".join(lines)
+
+
+def shorten(name: str, inches: float) -> str:
+    """Return a name that is not wider than a place, with its end left out where it is."""
+    longest = _characters(inches)
+    return name if len(name) <= longest else name[: longest - 1] + "…"
+
+
+def _characters(inches: float) -> int:
+    return round(inches / 0.065)  # at the size of titles
 
 
 def plain(value: float, _position: float | None = None) -> str:
@@ -73,9 +92,14 @@ def thousands(count: int) -> str:
 
 
 def scientific(value: float) -> str:
-    """Return a number as mantissa and power of ten, for matplotlib."""
+    """Return a number as mantissa and power of ten."""
     mantissa, exponent = f"{value:.2e}".split("e")
-    return f"{mantissa}·$10^{{{int(exponent)}}}$"
+    return f"{mantissa}·{power_of_ten(int(exponent))}"
+
+
+def power_of_ten(exponent: int) -> str:
+    """Return it with raised digits; formulas of matplotlib would bring a font of their own."""
+    return "10" + str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def seconds(value: float) -> str:

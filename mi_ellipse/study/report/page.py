@@ -10,14 +10,20 @@ from pathlib import Path
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from simpleimageio import flip
 
 from ...files import atomic
 from ..drawing import Figures, Inset, style_of, write_figures
 from ..metrics import METRICS
-from ..results import EQUAL_SAMPLES, EQUAL_TIME, Comparison, Measurement
-from ..statistics import CONFIDENCE, Efficiency, Estimate, is_best
+from ..results import (
+    EQUAL_SAMPLES,
+    EQUAL_TIME,
+    TOLERATED_TIME,
+    Comparison,
+    Measurement,
+)
+from ..statistics import CONFIDENCE, Efficiency, Estimate, Spread, is_best
 
 
 def write_report(
@@ -63,6 +69,7 @@ def write_report(
         comparison=comparison,
         metrics=METRICS,
         confidence=f"{CONFIDENCE:.0%}".replace("%", " %"),
+        tolerated=f"{100 * TOLERATED_TIME:.0f} %",
         curves=[_svg(file) for file in figures.curves.values()],
         grids={spp: _base64(figures.grids[EQUAL_SAMPLES, spp]) for spp in comparison.spp},
     )
@@ -137,7 +144,7 @@ def _base64(file: Path) -> str:
 
 @dataclass(frozen=True)
 class _Cell:
-    text: str
+    text: str  # a spread stands in a line of its own: so the tables fit a small window
     best: bool = False  # as far as the intervals tell
 
 
@@ -145,7 +152,7 @@ class _Cell:
 class _Row:
     """What the tables say of one strategy at one number of samples."""
 
-    sampling: str
+    sampling: Markup  # which may be broken within the name
     colour: str
     spp: int
     errors: list[_Cell]
@@ -161,11 +168,22 @@ def _table(comparison: Comparison, kind: str) -> list[list[_Row]]:
         costs = _columns([_efficiency_cells(group, name) for name in group[0].efficiency])
         table.append(
             [
-                _Row(one.sampling, style_of(one.sampling)[0], one.spp, own, cost + _times(one))
+                _Row(
+                    _breakable(one.sampling),
+                    style_of(one.sampling)[0],
+                    one.spp,
+                    own,
+                    cost + _times(one),
+                )
                 for one, own, cost in zip(group, errors, costs, strict=True)
             ]
         )
     return table
+
+
+def _breakable(name: str) -> Markup:
+    """Return a name that a browser may break after each of its parts."""
+    return Markup(re.sub("([_+=])", r"\1<wbr>", str(escape(name))))
 
 
 def _columns(columns: list[list[_Cell]]) -> list[list[_Cell]]:
@@ -174,17 +192,27 @@ def _columns(columns: list[list[_Cell]]) -> list[list[_Cell]]:
 
 
 def _error_cells(group: Sequence[Measurement], metric: str, seeds: int) -> list[_Cell]:
-    """Return a column of the table of errors; the best one is the smallest."""
+    """
+    Return a column of the table of errors; the best one is the smallest.
+
+    None is best at equal time where a strategy took another time.
+    """
     ends = [one.errors[metric].interval(seeds) for one in group]
-    best = _best([(-high, -low) for low, high in ends])
+    comparable = not any(one.is_off for one in group if one.kind == EQUAL_TIME)
+    best = [comparable and one for one in _best([(-high, -low) for low, high in ends])]
     texts = [_with_error(one.errors[metric]) for one in group]
     return [_Cell(*cell) for cell in zip(texts, best, strict=True)]
 
 
 def _efficiency_cells(group: Sequence[Measurement], metric: str) -> list[_Cell]:
-    """Return a column of the table of costs; the best one is the largest."""
+    """
+    Return a column of the table of costs; the best one is the largest.
+
+    None is best where the first strategy did not take as long as itself.
+    """
     found = [one.efficiency[metric] for one in group]
-    best = _best([(one.low, one.high) for one in found])
+    steady = not group[0].is_off
+    best = [steady and one for one in _best([(one.low, one.high) for one in found])]
     texts = [_with_interval(one) for one in found]
     return [_Cell(*cell) for cell in zip(texts, best, strict=True)]
 
@@ -198,17 +226,29 @@ def _best(intervals: list[tuple[float, float]]) -> list[bool]:
 
 
 def _times(one: Measurement) -> list[_Cell]:
-    seconds = (one.seconds, one.tracing_seconds, one.execution_seconds, one.compilation_seconds)
-    return [_Cell(f"{value:.3f}") for value in seconds]
+    spreads = [_with_spread(one.ratio, 2), _with_spread(one.seconds, 3)]
+    seconds = (one.tracing_seconds, one.execution_seconds, one.compilation_seconds)
+    return [_Cell(text) for text in [*spreads, *(f"{value:.3f}" for value in seconds)]]
+
+
+def _with_spread(one: Spread, digits: int) -> str:
+    if one.low == one.high:
+        return f"{one.median:.{digits}f}"
+    return f"{one.median:.{digits}f}\n[{one.low:.{digits}f}, {one.high:.{digits}f}]"
 
 
 def _with_error(error: Estimate) -> str:
     if np.isnan(error.standard_error):
         return f"{error.mean:.3g}"
-    return f"{error.mean:.3g} ± {error.standard_error:.1g}"
+    return f"{error.mean:.3g}\n± {error.standard_error:.1g}"
 
 
 def _with_interval(one: Efficiency) -> str:
     if np.isnan(one.low) or one.low == one.high:
         return f"{one.value:.2f}"
-    return f"{one.value:.2f} [{one.low:.2f}, {one.high:.2f}]"
+    return f"{one.value:.2f}\n[{_end(one.low)}, {_end(one.high)}]"
+
+
+def _end(value: float) -> str:
+    """Return an end of an interval; those of few seeds can be very far apart."""
+    return f"{value:.2f}" if 0.005 <= value < 1000 else f"{value:.0e}"
