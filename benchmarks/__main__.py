@@ -28,6 +28,7 @@ NAMES = (
     "ellipsoids",
     "bulbs",
     "groups",
+    "cluster",
 )
 FIGURES = "figures"
 

@@ -18,7 +18,7 @@ from mi_ellipse.sampling import DEFAULT, STRATEGIES
 from .text import table
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = ("README.md", "docs/strategies.md", "docs/study.md")
+PAGES = ("README.md", "docs/clusters.md", "docs/strategies.md", "docs/study.md")
 BLOCK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- end of figures -->)", re.DOTALL)
 
 BARE = "bare floor and ball"
@@ -237,8 +237,60 @@ def groups_tracing() -> str:
     return table("lamps | kind | tracing, ms a lamp | first frame, s", rows)
 
 
+# ---- docs/clusters.md ----
+
+NETWORK = 125.0  # MB/s: 1 Gbit/s
+LENGTHS = (1, 5, 20, 60)  # seconds of a job
+PICTURES = {"640 × 480": 640 * 480, "1920 × 1080": 1920 * 1080, "3840 × 2160": 3840 * 2160}
+BYTES_PER_PIXEL = 3 * 4
+
+
+def cluster() -> str:
+    """Throughput of workers and threads, and the cost of a job."""
+    measured = data("cluster")
+    seconds, cost = measured["seconds_a_job"], measured["overhead"]
+    gains = {
+        name: "{median:.2f} [{low:.2f}, {high:.2f}]".format(**gain)
+        for name, gain in measured["throughput"].items()
+    }
+    columns = {
+        "1 worker": ("1", gains["1 worker over 1 thread"]),
+        "2 workers": (gains["2 workers over 1 worker"], gains["2 workers over 2 threads"]),
+        "1 thread": ("1", "1"),
+        "2 threads": (gains["2 threads over 1 thread"], "1"),
+    }
+    rows = [[name, f"{seconds[name]:.2f}", *values] for name, values in columns.items()]
+    sentences = [
+        f"Jobs of {measured['spp']} samples a pixel, 640 × 480 pixels. Medians and 95 % intervals",
+        f"of {measured['turns']} turns of {measured['jobs']} jobs. A worker has one thread;",
+        "threads are those of one process without a cluster.\n\n"
+        + table("place | seconds a job | throughput over one | over as many threads", rows)
+        + f"\nA job costs {number(cost['job_ms'])} ms beside its render where many are on their",
+        f"way. One alone costs {number(cost['latency_ms'])} ms from end to end. Pictures travel",
+        f"from a worker at {number(measured['transfer']['mb_s'])} MB/s, on this machine.\n",
+    ]
+    return " ".join(sentences)
+
+
+def cluster_scaling() -> str:
+    """Workers that one command keeps busy, by the size of a picture and the length of a job."""
+    measured, rows = data("cluster"), []
+    rates = {"this machine": measured["transfer"]["mb_s"], "1 Gbit/s": NETWORK}
+    for name, pixels in PICTURES.items():
+        megabytes = pixels * BYTES_PER_PIXEL / 1e6
+        for place, rate in rates.items():
+            job, picture = measured["overhead"]["job_ms"], 1e3 * megabytes / rate
+            workers = [number(1e3 * length / (job + picture)) for length in LENGTHS]
+            limit = "transfer" if picture > job else "jobs"
+            rows.append([name, f"{megabytes:.1f} MB", place, *workers, limit])
+    lengths = " | ".join(f"jobs of {length} s" for length in LENGTHS)
+    return table(f"picture | size | rate | {lengths} | limited by", rows)
+
+
 BLOCKS: dict[str, Callable[[], str]] = {
     "bulbs": bulbs,
+    "cluster": cluster,
+    "cluster_scaling": cluster_scaling,
     "groups": groups,
     "groups_tracing": groups_tracing,
     "strategies": readme_strategies,

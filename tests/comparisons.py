@@ -34,7 +34,7 @@ def run(
 def reference_of(
     scene_file: Path, folder: Path, spp: int, said: list[str] | None = None, **options: object
 ) -> Reference:
-    """Render a reference, four samples per pixel in each pass."""
+    """Render a reference, four samples per pixel in each pass unless the options say otherwise."""
     width, height = SMALL_SIZE
     return render_reference(
         folder,
@@ -43,8 +43,7 @@ def reference_of(
         spp,
         lambda done, total: None,
         (said if said is not None else []).append,
-        samples_per_pass=width * height * 4,
-        **options,
+        **{"samples_per_pass": width * height * 4, **options},
     )
 
 

@@ -18,14 +18,17 @@ from .options import (
     Integrator,
     Resolution,
     SceneFile,
+    Scheduler,
     Sensor,
     Variant,
+    Workers,
     parse_changes,
     parse_definitions,
     parse_insets,
     parse_integers,
 )
-from .process import interrupt_ends_process, one_line_errors
+from .places import interruptible, place
+from .process import one_line_errors
 from .progress import step_bars
 from .report import draw
 
@@ -56,6 +59,8 @@ def run(
     integrator: Integrator = None,
     resolution: Resolution = None,
     insets: Insets = None,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
     definitions: Definitions = None,
 ) -> None:
     """Compare sampling strategies: errors, times, figures and a report to look at."""
@@ -65,7 +70,8 @@ def run(
     regions = parse_insets(insets)
     strategies = [name.strip() for name in sampling.split(",")]
 
-    with one_line_errors(), interrupt_ends_process():
+    console = Console(stderr=True)
+    with one_line_errors(), place(scheduler, workers, console) as executor, interruptible(executor):
         # Not with the other imports: drawing would make every command slow to start.
         from ..study import compare
         from ..study.kinds import ungrouped
@@ -73,7 +79,6 @@ def run(
         if not grouping:
             strategies = [ungrouped(name) for name in strategies]
         set_variant(variant)
-        console = Console(stderr=True)
         with step_bars(console) as progress:
             compare(
                 scene_file,
@@ -88,6 +93,7 @@ def run(
                 regions,
                 lambda comparison: draw(comparison, regions, console, progress),
                 changes,
+                executor,
             )
     names = ("report.html", "results.csv", "results.json", "figures")
     print(", ".join(str(output / name) for name in names))

@@ -15,6 +15,7 @@ from ..sampling import STRATEGIES
 # Below the options, because a column of the table is too narrow for the longest names
 STRATEGIES_HELP = f"Strategies: {', '.join([*STRATEGIES, BUILT_IN])}. The last is Mitsuba's `area`."
 DEFAULT_VARIANT = "llvm_ad_rgb"
+CLUSTER = "Beyond one process (needs mi_ellipse[cluster])"
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE.xml", help="Scene to render.")]
 Variant = Annotated[str, typer.Option(help="Mitsuba variant.")]
@@ -24,6 +25,23 @@ Grouping = Annotated[
     typer.Option(
         "--grouping/--no-grouping",
         help="Two or more lamps choose among themselves, or leave the choice to Mitsuba.",
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="tcp://HOST:PORT",
+        help="Run on the Dask cluster of this scheduler.",
+        rich_help_panel=CLUSTER,
+    ),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="Run on N single-threaded processes of this machine.",
+        rich_help_panel=CLUSTER,
     ),
 ]
 Sensor = Annotated[

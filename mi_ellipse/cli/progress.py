@@ -44,7 +44,9 @@ class Lines:
         self._start = self._last = time.monotonic(), done
 
     def update(self, done: float) -> None:
-        """Take the part that is done, and say it if there is something new."""
+        """Take the part that is done, and say it if there is something new; the end says itself."""
+        if done >= 1:
+            return
         now = time.monotonic()
         passed, progressed = now - self._last[0], done - self._last[1]
         shortest, longest = SECONDS_BETWEEN_LINES

@@ -13,8 +13,8 @@ import typer
 from rich.console import Console
 
 from ..files import images
-from ..rendering import partial, provenance
-from ..rendering.executor import LocalExecutor
+from ..rendering import division, partial, provenance
+from ..rendering.executor import JobExecutor, LocalExecutor
 from ..rendering.job import Plan, Rendering, RenderJob
 from ..rendering.passes import Finished, Stop
 from ..rendering.scene import check_scene_file, parse_scene, set_variant
@@ -26,13 +26,16 @@ from .options import (
     Integrator,
     Resolution,
     SceneFile,
+    Scheduler,
     Seed,
     Variant,
+    Workers,
     check_output,
     parse_changes,
     parse_definitions,
 )
-from .process import INTERRUPTED, interrupt_ends_pass, interrupt_ends_process, one_line_errors
+from .places import interruptible, place
+from .process import INTERRUPTED, interrupt_ends_pass, one_line_errors
 from .progress import passes_bar
 
 ALL = "all"  # Instead of the id of a sensor
@@ -80,6 +83,8 @@ def run(
             " command continues it.",
         ),
     ] = False,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
     definitions: Definitions = None,
 ) -> None:
     """Render a scene to an OpenEXR file, and a PNG beside it for a quick look."""
@@ -105,8 +110,9 @@ def run(
         for file in jobs:
             check_output(file, ".exr", "an OpenEXR file")
             check_output(file.with_suffix(".png"), ".png", "a PNG")
-        for file, one in jobs.items():
-            _make_picture(one, file, half, keep_partial)
+        with place(scheduler, workers, Console(stderr=True)) as executor:
+            for file, one in jobs.items():
+                _make_picture(one, file, half, keep_partial, executor)
 
 
 def _for_each_sensor(job: RenderJob, exr: Path) -> dict[Path, RenderJob]:
@@ -125,10 +131,12 @@ def _for_each_sensor(job: RenderJob, exr: Path) -> dict[Path, RenderJob]:
     return jobs
 
 
-def _make_picture(job: RenderJob, exr: Path, half: bool, keep_partial: bool) -> None:
+def _make_picture(
+    job: RenderJob, exr: Path, half: bool, keep_partial: bool, executor: JobExecutor
+) -> None:
     """Render, write the OpenEXR file and the PNG, and say so."""
     png = exr.with_suffix(".png")
-    plan, rendering = _render(job, exr, keep_partial)
+    plan, rendering = _render(job, exr, keep_partial, executor)
     exposure = images.choose_exposure(rendering.image)
     if rendering.unfinished is not None:
         partial.write(exr, job, plan, rendering)
@@ -162,22 +170,26 @@ def _write_exr(
     images.write_exr(exr, rendering.image, settings, rendering.channels, half)
 
 
-def _render(job: RenderJob, exr: Path, keep_partial: bool) -> tuple[Plan, Rendering]:
+def _render(
+    job: RenderJob, exr: Path, keep_partial: bool, executor: JobExecutor
+) -> tuple[Plan, Rendering]:
     """Render what the file does not hold yet, and say what the user would not expect."""
     console = Console(stderr=True)
     with ExitStack() as stack:
-        stack.enter_context(interrupt_ends_process())
-        executor = stack.enter_context(LocalExecutor())
+        stack.enter_context(interruptible(executor))
         plan = executor.submit(job.plan).result()
         before = partial.read(exr, job, plan)
-        _announce(job, plan, before, console)
+        _announce(job, plan, before, executor, console)
         stop: Stop = lambda: False  # noqa: E731
         if keep_partial and len(plan.sizes) > 1:
             stop = stack.enter_context(interrupt_ends_pass(console.print))
         elif keep_partial:
             console.print("Rendering in one pass: Ctrl-C ends at once and keeps nothing.")
         progress = stack.enter_context(passes_bar(console, len(plan.sizes), before.passes))
-        rendering = executor.submit(job.run, progress, before, stop).result()
+        if isinstance(executor, LocalExecutor):
+            rendering = executor.submit(job.run, progress, before, stop).result()
+        else:
+            rendering = division.render(job, plan.sizes, executor, progress, before, stop)
 
     if rendering.invalid_pixels:
         console.print(
@@ -188,7 +200,9 @@ def _render(job: RenderJob, exr: Path, keep_partial: bool) -> tuple[Plan, Render
     return plan, rendering
 
 
-def _announce(job: RenderJob, plan: Plan, before: Finished, console: Console) -> None:
+def _announce(
+    job: RenderJob, plan: Plan, before: Finished, executor: JobExecutor, console: Console
+) -> None:
     if before.passes:
         console.print(f"Continued from {before.spp} of {plan.spp} samples per pixel.")
     if plan.conversion is not None:
@@ -203,6 +217,8 @@ def _announce(job: RenderJob, plan: Plan, before: Finished, console: Console) ->
         )
     if job.spp is not None and plan.spp != job.spp:
         console.print(f"The scene's sampler makes {plan.spp} samples per pixel of {job.spp}.")
+    if len(plan.sizes) == 1 and not isinstance(executor, LocalExecutor):
+        console.print("Rendering in one pass, which one worker renders.")
     if plan.loses_stratification:
         console.print(
             f"Rendering in {len(plan.sizes)} passes: its samples are less evenly spread, and the"

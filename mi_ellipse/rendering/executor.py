@@ -1,18 +1,42 @@
-"""Where jobs run: here, in this process, behind the interface that other places would have too."""
+"""Where jobs run: the interface of every place, and the place that is this process."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, ParamSpec, TypeVar
 
+from . import provenance
 from .job import Stage
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class LocalExecutor(Executor):
+class JobExecutor(Executor, ABC):
+    """Run jobs somewhere: ``submit(RenderJob.run, job)``, ``map(RenderJob.run, jobs)``."""
+
+    @abstractmethod
+    def alone(self) -> AbstractContextManager[Executor]:
+        """
+        Give an executor for jobs whose times are compared.
+
+        It runs one job at a time, on one machine, and nothing else of this package runs there
+        meanwhile. Its `map` starts a job only when its result is asked for.
+        """
+
+    @abstractmethod
+    def machine(self) -> str:
+        """Return the machine on which :meth:`alone` runs jobs, for the metadata of pictures."""
+
+    def places(self) -> str:
+        """Return where jobs run, for a sentence to the user; empty: in this process."""
+        return ""
+
+
+class LocalExecutor(JobExecutor):
     """
     Run jobs in this process, one at a time, so that their times can be compared.
 
@@ -51,6 +75,14 @@ class LocalExecutor(Executor):
     ) -> Iterator[T]:
         """Yield the results in order, each made when it is asked for; the options do nothing."""
         return (self.submit(fn, *arguments).result() for arguments in zip(*iterables, strict=False))
+
+    def alone(self) -> AbstractContextManager[Executor]:
+        """Give this executor, whose jobs are always alone."""
+        return nullcontext(self)
+
+    def machine(self) -> str:
+        """Return this machine, see :func:`mi_ellipse.rendering.provenance.machine`."""
+        return provenance.machine()
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Take no more jobs, and free the scene; nothing is ever left to wait for or to cancel."""

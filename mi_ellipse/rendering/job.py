@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import gc
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from . import passes, provenance
 from .changes import UNCHANGED, Changes
 from .passes import MAX_SAMPLES_PER_PASS, NOTHING, Finished, Progress, Rendering, Stop, Timing
 from .rewrite import Conversion
-from .scene import ParsedScene, instantiate, parse_scene, set_variant
+from .scene import ParsedScene, instantiate, parse_scene, under_variant
 
 __all__ = ["Changes", "Parameters", "Plan", "RenderJob", "Rendering", "Stage", "Timing"]
 
@@ -93,6 +93,7 @@ class RenderJob:
     grouping: bool = True  # Two or more lamps choose among themselves; False: Mitsuba's choice
     changes: Changes = UNCHANGED  # Of lamps, sensor, integrator and resolution
     short_passes: bool = False  # of about a second each, see `passes.plan_passes`
+    repeatable: bool = False  # to the bit, with fewer threads where needed, see `passes.render`
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", Path(self.scene))
@@ -146,11 +147,13 @@ class RenderJob:
                 self.short_passes,
                 before,
                 stop,
+                self.repeatable,
             )
             return dataclasses.replace(
                 rendering,
                 warm_up=loaded.warm_up if self.warm_up else None,
                 scene_digest=loaded.digest,
+                machine=provenance.machine(),
             )
 
 
@@ -209,11 +212,11 @@ class Stage:
             job.changes,
         )
         loaded = self._loaded
-        if loaded is None or loaded.key != key or loaded.stamps != _stamps(loaded.stamps):
+        if loaded is None or loaded.key != key or loaded.stamps != stamps_of(loaded.stamps):
             loaded = None
             self.clear()
             parsed = parse_scene(job.scene, job.parameters)
-            stamps = _stamps(_files(parsed))
+            stamps = stamps_of(_files(parsed))
             digest = provenance.parsed_digest(parsed)
             conversion = parsed.conversion() if job.changes.convert_lamps else None
             scene = instantiate(parsed, job.sampling, job.changes)
@@ -231,9 +234,7 @@ _current: ContextVar[Stage | None] = ContextVar("stage", default=None)
 def _staged(job: RenderJob) -> Iterator[_Loaded]:
     """Give the loaded scene of a job, and set its variant meanwhile."""
     stage = _current.get()
-    before = mi.variant()
-    set_variant(job.variant)
-    try:
+    with under_variant(job.variant):
         if stage is not None:
             yield stage.load(job)
         else:
@@ -242,16 +243,13 @@ def _staged(job: RenderJob) -> Iterator[_Loaded]:
                 yield own.load(job)
             finally:
                 own.clear()
-    finally:
-        if before is not None:
-            mi.set_variant(before)
 
 
 def _files(parsed: ParsedScene) -> list[Path]:
     return [*parsed.scene_files, *(file for _, file in parsed.named_files())]
 
 
-def _stamps(files: list[Path] | dict[Path, tuple[int, int]]) -> dict[Path, tuple[int, int]]:
+def stamps_of(files: Iterable[Path]) -> dict[Path, tuple[int, int]]:
     """Return when files were last changed, and their sizes; a missing file has neither."""
     stamps = {}
     for file in files:

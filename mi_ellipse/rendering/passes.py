@@ -16,10 +16,16 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from ..system.threads import use_threads
+
 # Mitsuba numbers the samples of a pass with 32 bits. Memory sets no tighter limit: `path`, `prb`
 # and `volpath` run as one kernel that keeps nothing per sample (under LLVM, peak memory grew by
 # less than 2 MiB from 4 to 34 million samples). The film, 12 bytes a pixel, cannot be split.
 MAX_SAMPLES_PER_PASS = 2**32 - 1
+
+# Samples of a kernel that Dr.Jit gives to one thread, where there are enough
+# (`LLVMThreadState::launch` in drjit-core)
+BLOCK = 2**14
 
 # Twelve days where a pass takes a second; more would fill the memory with plans.
 MAX_PASSES = 2**20
@@ -83,6 +89,7 @@ class Rendering:
     scene_digest: str = ""  # of the scene that was loaded for a job
     unfinished: Finished | None = None  # where the render was stopped before its end
     seconds_before: float = 0.0  # of the passes that an earlier render had finished
+    machine: str = ""  # that rendered a job, or several of them with commas between
 
     @property
     def seconds(self) -> float:
@@ -152,7 +159,7 @@ def plan_passes(
 
 def _short_passes(spp: int, pixels: int) -> tuple[int, ...]:
     backend = (mi.variant() or "").partition("_")[0]
-    size = max(1, SHORT_PASS[backend] // pixels)
+    size = repeatable_size(max(1, SHORT_PASS[backend] // pixels))
     full, rest = divmod(spp, size)
     check_pass_count(spp, full + 1)
     return (size,) * full + ((rest,) if rest else ())
@@ -165,6 +172,25 @@ def check_pass_count(spp: int, passes: int) -> None:
             f"spp={spp}: so many samples per pixel need {passes} passes, and at most {MAX_PASSES}"
             " are possible; take fewer, or a smaller picture"
         )
+
+
+def repeatable_size(spp: int) -> int:
+    """Return the largest size of a pass, not above `spp`, that several threads can repeat."""
+    return min(BLOCK, 1 << (spp.bit_length() - 1))
+
+
+def repeatable_threads(scene: mi.Scene, spp: int) -> int:
+    """
+    Return the threads with which a pass is the same each time, bit for bit, as far as there are.
+
+    Several threads add up the samples of a pixel in changing order, unless one of them has them
+    all. Dr.Jit gives each thread blocks of :data:`BLOCK` samples, or smaller ones where those would
+    be less than two a thread. With another filter than the box filter, pixels share samples; this
+    function then returns all threads.
+    """
+    threads, film = dr.thread_count(), _sensor(scene).film()
+    whole = BLOCK % spp == 0 and spp * _count_pixels(film) > 2 * threads * BLOCK
+    return threads if whole or film.rfilter().class_name() != "BoxFilter" else 1
 
 
 def loses_stratification(scene: mi.Scene, passes: int) -> bool:
@@ -181,6 +207,7 @@ def render(
     short: bool = False,
     before: Finished = NOTHING,
     stop: Stop = lambda: False,
+    repeatable: bool = False,
 ) -> Rendering:
     """
     Render the first sensor of a scene and average the passes.
@@ -204,10 +231,13 @@ def render(
         without a break gives, to the bit where Mitsuba adds up the samples in a fixed order.
     stop
         Asked after each pass but the last. If it says yes, the picture holds what is finished.
+    repeatable
+        Take no more threads for a pass than give the same bits each time, see
+        :func:`repeatable_threads`.
     """
     sizes = plan_passes(scene, spp, max_samples, short)
     check_continuation(sizes, before)
-    finished, timing = _add_passes(scene, sizes, seed, progress, before, stop)
+    finished, timing = _add_passes(scene, sizes, seed, progress, before, stop, repeatable)
     image = np.asarray(finished.total / finished.spp, dtype=np.float32)
     return Rendering(
         image,
@@ -241,16 +271,18 @@ def _add_passes(
     progress: Progress | None,
     before: Finished,
     stop: Stop,
+    repeatable: bool,
 ) -> tuple[Finished, Timing]:
     """Render the passes that are missing, and add them, weighted by their samples."""
     # `dr.freeze` cannot record Mitsuba's spectral variants: they use tables that no argument holds.
     recorded = len(sizes) - before.passes > 1 and _is_vectorized() and not mi.is_spectral
     render_pass = dr.freeze(_render_pass) if recorded else _render_pass
 
-    seeds = _pass_seeds(seed, len(sizes))
+    seeds = pass_seeds(seed, len(sizes))
     total, timing, done = before.total, NO_TIME, before.passes
     for size, pass_seed in islice(zip(sizes, seeds, strict=True), before.passes, None):
-        image, seconds = _timed(render_pass, scene, dr.opaque(mi.UInt32, pass_seed), size)
+        with use_threads(repeatable_threads(scene, size) if repeatable else dr.thread_count()):
+            image, seconds = _timed(render_pass, scene, dr.opaque(mi.UInt32, pass_seed), size)
         total = total + size * image.astype(np.float64)
         timing = timing + seconds
         done += 1
@@ -300,7 +332,7 @@ def _render_pass(scene: mi.Scene, seed: mi.UInt32, spp: int) -> mi.TensorXf:
     return image
 
 
-def _pass_seeds(seed: int, count: int) -> list[int]:
+def pass_seeds(seed: int, count: int) -> list[int]:
     """Return the seed itself and `count` - 1 that no other `seed` is likely to have as well."""
     return [seed, *np.random.SeedSequence(seed).generate_state(count - 1).tolist()]
 

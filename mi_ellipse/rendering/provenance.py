@@ -7,6 +7,7 @@ import hashlib
 import json
 import platform
 from collections.abc import Mapping
+from functools import cache
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,9 +32,12 @@ NOT_IN_A_PICTURE = (
     "files/",
     "lighting/",
     "measures.py",
+    "rendering/cluster.py",
     "rendering/converted_file.py",
+    "rendering/parcel.py",
     "rendering/partial.py",
     "rendering/provenance.py",
+    "rendering/worker.py",
     "study/",
     "system/doctor.py",
     "system/messages.py",
@@ -54,6 +58,12 @@ def versions() -> dict[str, str]:
 
 def machine() -> str:
     """Return the processor's name, as far as the system tells it, and the threads in use."""
+    return f"{processor()}, {dr.thread_count()} threads"
+
+
+@cache
+def processor() -> str:
+    """Return the processor's name, as far as the system tells it."""
     name = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
@@ -61,7 +71,7 @@ def machine() -> str:
             line for line in cpuinfo.read_text().splitlines() if line.startswith("model name")
         ]
         name = models[0].partition(":")[2].strip() if models else name
-    return f"{name}, {dr.thread_count()} threads"
+    return name
 
 
 def scene_digest(path: str | PathLike[str], parameters: Mapping[str, str] | None = None) -> str:
@@ -125,6 +135,7 @@ def describe(job: RenderJob, rendering: Rendering) -> dict[str, str]:
         "passes": str(rendering.passes),
         **settings(job, rendering.scene_digest),
         "render_seconds": f"{rendering.seconds:.3f}",
+        "machine": rendering.machine,
     }
 
 

@@ -16,6 +16,7 @@ import mitsuba as mi
 
 from ..plugins.attachment import attach_all
 from ..plugins.names import ELLIPTICAL_AREA
+from ..system.threads import use_threads
 from . import rewrite
 from .changes import UNCHANGED, Changes, sensor_names
 from .rewrite import Conversion
@@ -210,7 +211,10 @@ def instantiate(
         if sampling is not None:
             rewrite.choose_sampling(state, sampling)
         mi.parser.transform_all(parsed.config, state)
-        scene = mi.parser.instantiate(parsed.config, state)
+        # Several threads build a ray tracing hierarchy whose order changes from one load to the
+        # next, and with it the last digits of where rays meet meshes.
+        with use_threads(1):
+            scene = mi.parser.instantiate(parsed.config, state)
     if not isinstance(scene, mi.Scene):
         raise ValueError(f"{parsed.path}: the root element is no <scene>")
     attach_all(scene)
@@ -240,3 +244,15 @@ def _refuse_detached_lamps(state: mi.parser.ParserState) -> None:
                 f'{mi.parser.file_location(state, node)}: this "{ELLIPTICAL_AREA}" belongs to no'
                 " shape and would give no light; put it inside the <shape> that shall shine"
             )
+
+
+@contextmanager
+def under_variant(variant: str) -> Iterator[None]:
+    """Set a variant of Mitsuba, and set that of the caller again in the end."""
+    before = mi.variant()
+    set_variant(variant)
+    try:
+        yield
+    finally:
+        if before is not None:
+            mi.set_variant(before)

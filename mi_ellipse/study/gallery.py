@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import quote
@@ -14,7 +15,7 @@ from ..files import images
 from ..files.images import Image
 from ..rendering import provenance
 from ..rendering.changes import UNCHANGED, Changes
-from ..rendering.executor import LocalExecutor
+from ..rendering.executor import JobExecutor, LocalExecutor
 from ..rendering.job import Rendering, RenderJob
 from . import tidying
 from .album import Album
@@ -75,13 +76,15 @@ class Gallery:
         parameters: Mapping[str, str],
         album: Album | None = None,
         changes: Changes = UNCHANGED,
+        executor: JobExecutor | None = None,  # by default one in this process
     ):
         self.folder = folder
         self.scene_file = scene_file
         self.parameters = dict(parameters)
         self.changes = changes
         self._album = album or Album()
-        self.machine = provenance.machine()  # that renders
+        self._executor = executor
+        self.machine = (executor or LocalExecutor()).machine()  # that renders, alone
         self.settings = settings(scene_file, parameters, changes)
         self.settings |= {"picture_digest": provenance.picture_digest()}
 
@@ -119,7 +122,8 @@ class Gallery:
         """Render pictures whose times are not asked for, and write them."""
         tasks = sorted(tasks)
         pictures = {}
-        renderings = self.run([self.job(task) for task in tasks])
+        jobs = [self.job(task) for task in tasks]
+        renderings = self._executor.map(RenderJob.run, jobs) if self._executor else self.run(jobs)
         for task, rendering in zip(tasks, renderings, strict=True):
             pictures[task] = self.keep(task, rendering)
             progress(task)
@@ -127,8 +131,9 @@ class Gallery:
 
     def run(self, jobs: Sequence[RenderJob]) -> Generator[Rendering, None, None]:
         """Yield the renderings of jobs, rendered one at a time on one machine, in their order."""
-        with LocalExecutor() as executor:
-            yield from executor.map(RenderJob.run, jobs)
+        with ExitStack() as stack:
+            executor = self._executor or stack.enter_context(LocalExecutor())
+            yield from stack.enter_context(executor.alone()).map(RenderJob.run, jobs)
 
     def job(self, task: Task, warm_up: bool = False) -> RenderJob:
         """Return the job of a picture; with a `warm_up` where its time is asked for."""

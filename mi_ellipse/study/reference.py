@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..files import atomic, images
 from ..files.images import Image
 from ..rendering.changes import UNCHANGED, Changes
+from ..rendering.division import SAMPLES_PER_PASS, pass_size
 from ..rendering.executor import LocalExecutor
 from ..rendering.job import RenderJob
 from ..rendering.passes import check_pass_count
@@ -22,9 +23,6 @@ from .gallery import colour, settings, variant
 from .metrics import flip, reference_errors
 
 SEED = 20170419  # the halves' passes take their seeds from it
-
-# Some seconds on a few processor cores: no more is lost in an interruption.
-SAMPLES_PER_PASS = 2**24
 
 
 @dataclass(frozen=True)
@@ -136,7 +134,7 @@ def render_reference(
     say
         Called with sentences for the user.
     samples_per_pass
-        Pixels times samples per pixel of one pass, about.
+        Pixels times samples per pixel of one pass, at most.
     executor
         Where the passes are rendered; by default in this process. Sums do not depend on it.
     album
@@ -185,7 +183,7 @@ def _plan(
 ) -> Iterator[_Pass]:
     """Yield the missing passes, the halves in turn, until each has `target` samples per pixel."""
     width, height = executor.submit(job.plan).result().film_size
-    size = max(1, samples_per_pass // (width * height))
+    size = pass_size(width * height, samples_per_pass)
     check_pass_count(2 * target, 2 * (target // size))
     taken: dict[int, int] = {}  # by the samples per pixel asked for; some samplers round up
     spp, numbers = [half.spp for half in halves], [half.passes for half in halves]
@@ -194,7 +192,7 @@ def _plan(
         asked = min(size, target - spp[index])
         # The same words come first however many are generated: a seed belongs to its pass.
         seeds = np.random.SeedSequence([SEED, index]).generate_state(numbers[index] + 1)
-        a_pass = replace(job, spp=asked, seed=int(seeds[-1]))
+        a_pass = replace(job, spp=asked, seed=int(seeds[-1]), repeatable=True)
         yield index, a_pass
         if asked not in taken:
             taken[asked] = executor.submit(a_pass.plan).result().spp

@@ -29,6 +29,9 @@ TOLERATED_REFERENCE_ERROR = 0.05
 # Times that differ by more are not called equal.
 TOLERATED_TIME = 0.1
 
+# For a folder that is damaged or of another version
+REMEDY = "run `mi-ellipse compare` with the same arguments again"
+
 # Of `results.json`; to be raised when its entries change.
 FORMAT = 3
 
@@ -117,11 +120,19 @@ class Comparison:
 
     def reference_image(self) -> Image:
         """Return the reference; it is read once."""
-        return self.album.read(self.reference.file)
+        return self._read(self.reference.file)
 
     def image(self, measurement: Measurement) -> Image:
         """Return the picture of the first seed; it is read once."""
-        return self.album.read(measurement.pictures[0].file)
+        return self._read(measurement.pictures[0].file)
+
+    def _read(self, file: Path) -> Image:
+        try:
+            return self.album.read(file)
+        except FileNotFoundError:
+            raise ValueError(f"{file} is missing; {REMEDY}") from None
+        except ValueError as error:
+            raise ValueError(f"{error}; {REMEDY}") from None
 
     def warnings(self) -> list[str]:
         """Return a sentence for each reason not to trust a number."""
@@ -315,16 +326,15 @@ def read(folder: str | os.PathLike[str]) -> Comparison:
             f"{folder} holds no finished comparison (results.json is missing): name the folder that"
             " `mi-ellipse compare` wrote to"
         )
-    remedy = "run `mi-ellipse compare` with the same arguments again"
     try:
         document = sealed.parse(file)
         if document.get("format") == FORMAT:
             sealed.verify(file, document)
             return _comparison(folder, document)
     except ValueError as error:
-        raise ValueError(f"{error}; {remedy}") from None
+        raise ValueError(f"{error}; {REMEDY}") from None
     raise ValueError(
-        f"{file} has format {document.get('format')}, and this version reads {FORMAT}; {remedy}"
+        f"{file} has format {document.get('format')}, and this version reads {FORMAT}; {REMEDY}"
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from ..files import images
 from ..files.lock import only_one
 from ..rendering.changes import UNCHANGED, Changes
+from ..rendering.executor import JobExecutor
 from ..rendering.scene import parse_scene
 from . import origin, results, tidying
 from .album import Album
@@ -53,6 +54,7 @@ def compare(
     insets: Sequence[Inset] | None = None,
     finish: Callable[[Comparison], None] = lambda comparison: None,
     changes: Changes = UNCHANGED,
+    executor: JobExecutor | None = None,
 ) -> Comparison:
     """
     Compare sampling strategies in a scene with a reference, at equal samples and at equal time.
@@ -88,6 +90,9 @@ def compare(
         Called with the comparison while no other process can work in the folder.
     changes
         Of the scene, for all pictures and the reference.
+    executor
+        Where pictures and reference are rendered; by default in this process. Pictures are timed,
+        so they are rendered alone on one machine; only the reference is spread.
 
     Raises
     ------
@@ -115,17 +120,22 @@ def compare(
         tidying.remove_remains(request.folder)
         for name in origin.claim(request.folder, origin.Origin.of(request)):
             say(f"{name} was damaged and is made again")
-        comparison = _run(request, progress, say)
+        comparison = _run(request, progress, say, executor)
         finish(comparison)
     return comparison
 
 
-def _run(request: Request, progress: Progress, say: Callable[[str], None]) -> Comparison:
+def _run(
+    request: Request,
+    progress: Progress,
+    say: Callable[[str], None],
+    executor: JobExecutor | None,
+) -> Comparison:
     """Render and measure what was asked for, and write the results."""
     scene_file, parameters, folder = request.scene_file, request.parameters, request.folder
     strategies, spp = request.strategies, request.spp
     album = Album()
-    gallery = Gallery(folder / "pictures", scene_file, parameters, album, request.changes)
+    gallery = Gallery(folder / "pictures", scene_file, parameters, album, request.changes, executor)
     times = Times(folder / TIMES, gallery.settings | {"machine": gallery.machine}, say)
 
     # Pictures come first: they show within seconds whether the scene renders at all.
@@ -143,6 +153,7 @@ def _run(request: Request, progress: Progress, say: Callable[[str], None]) -> Co
         request.reference_spp,
         lambda done, total: progress("reference", done, total),
         say,
+        executor=executor,
         album=album,
         changes=request.changes,
     )

@@ -17,7 +17,7 @@ def clock(monkeypatch):
 def test_lines_are_few_and_tell_the_remaining_time(clock):
     said = []
     lines = Lines(said.append, "Rendering")
-    for second in range(1, 2000):  # a work of 2000 s, told each second
+    for second in range(1, 2001):  # a work of 2000 s, told each second
         clock[0] = second
         lines.update(second / 2000)
     percents = [line.split(" %")[0] for line in said]

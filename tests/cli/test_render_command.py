@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from commands import HEIGHT, LAMP, SCENE, WIDTH, files, invoke, read, samples, write_scene
 from mi_ellipse.files import images
-from mi_ellipse.rendering import job, passes
+from mi_ellipse.rendering import job, passes, provenance
 from mi_ellipse.rendering.provenance import scene_digest
 from mi_ellipse.rendering.scene import load_scene
 from mi_ellipse.sampling import STRATEGIES
@@ -58,6 +58,7 @@ def test_render_writes_a_picture_with_the_settings_that_made_it(scene_file):
         "variant": "llvm_ad_rgb",
         "sampling": "solid_angle",
         "grouping": "yes",
+        "machine": provenance.machine(),
         "convert_lamps": "no",
         "mi_ellipse_version": mi_ellipse.__version__,
         "mitsuba_version": mi.__version__,

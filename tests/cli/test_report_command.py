@@ -6,6 +6,7 @@ import pytest
 from commands import files, invoke
 from conftest import SMALL_SCENE
 from mi_ellipse.rendering import passes
+from mi_ellipse.study import results
 
 pytestmark = pytest.mark.usefixtures("llvm_ad_rgb")
 
@@ -41,6 +42,22 @@ def test_report_is_made_again_without_rendering(folder, monkeypatch):
 
     assert invoke("report", folder, "--inset", "3,4,6,5").exit_code == 0
     assert hashlib.sha256(grid.read_bytes()).hexdigest() != first
+
+
+def test_numbers_are_printed_with_their_spread(folder):
+    result = invoke("report", folder)
+    words = result.stderr.split()
+    assert "over area's" in result.stderr
+    for one in results.read(folder).measurements:
+        efficiency = one.efficiency["mse_trimmed"]
+        assert f"{one.errors['mse_trimmed'].mean:.3g}" in words
+        for spread, value, digits in (
+            (one.seconds, one.seconds.median, 3),
+            (one.ratio, one.ratio.median, 2),
+            (efficiency, efficiency.value, 2),
+        ):
+            row = f"{value:.{digits}f} [{spread.low:.{digits}f}, {spread.high:.{digits}f}]"
+            assert row in " ".join(words)
 
 
 def test_a_folder_without_a_comparison_is_refused_in_one_line(tmp_path):

@@ -102,7 +102,7 @@ def test_passes_average_to_renders_of_mitsuba_and_are_recorded_once(scene_file, 
     # One for 4, 4, 4, a second one where a lamp met its shape in the first, one for the 3.
     assert frozen[0].n_recordings <= 3
 
-    seeds = passes._pass_seeds(5, 4)
+    seeds = passes.pass_seeds(5, 4)
     assert len(set(seeds)) == 4
     expected = np.average(
         [mi.render(scene, spp=n, seed=s).numpy() for n, s in zip((4, 4, 4, 3), seeds, strict=True)],
@@ -125,3 +125,40 @@ def test_passes_in_other_variants(scene_file, variant):
 def test_single_pass_is_not_recorded(scene_file, monkeypatch):
     monkeypatch.setattr(dr, "freeze", lambda _: pytest.fail("recorded a single pass"))
     assert passes.render(load_scene(scene_file), 4).passes == 1
+
+
+# ---- Passes that can be repeated ----
+
+
+@pytest.fixture
+def threads():
+    """Set the number of threads; the number of before returns in the end."""
+    before = dr.thread_count()
+    yield dr.set_thread_count
+    dr.set_thread_count(before)
+
+
+@pytest.mark.parametrize("spp", [3, 32, 1000, 20000])
+def test_repeatable_passes_are_the_same_with_any_number_of_threads(small_scene, threads, spp):
+    """A film of 24 × 16 pixels, so that blocks of samples end within pixels."""
+    scene = load_scene(small_scene)
+    images = []
+    for count in (1, 2, 5, 5):
+        threads(count)
+        images.append(passes.render(scene, spp, 1, repeatable=True).image)
+        assert dr.thread_count() == count
+    for image in images[1:]:
+        np.testing.assert_array_equal(image, images[0])
+
+
+def test_threads_of_repeatable_passes(small_scene, threads):
+    text = small_scene.read_text().replace('value="24"', 'value="1024"')
+    small_scene.write_text(text)
+    scene = load_scene(small_scene)
+    threads(4)
+    assert passes.repeatable_threads(scene, 2**14) == 4
+    assert passes.repeatable_threads(scene, 2**14 - 1) == 1
+    assert passes.repeatable_threads(scene, 2) == 1
+    small_scene.write_text(text.replace('"box"', '"gaussian"'))
+    assert passes.repeatable_threads(load_scene(small_scene), 3) == 4
+    assert [passes.repeatable_size(spp) for spp in (1, 5, 64, 10**6)] == [1, 4, 64, 2**14]

@@ -168,9 +168,12 @@ def test_lost_pictures_are_named(folder, count_renders):
 def test_a_damaged_picture_stops_the_report_with_its_name(folder):
     file = folder / "out" / "pictures" / "area_2spp_seed1.exr"
     alter(file)
-    comparison = results.read(folder / "out")
-    with pytest.raises(ValueError, match=f"{file}: the OpenEXR file is damaged"):
-        write_report(comparison)
+    message = f"{file}: the OpenEXR file is damaged.*; run `mi-ellipse compare` with the same"
+    with pytest.raises(ValueError, match=message):
+        write_report(results.read(folder / "out"))
+    file.unlink()
+    with pytest.raises(ValueError, match=f"{file} is missing; run `mi-ellipse compare`"):
+        write_report(results.read(folder / "out"))
 
 
 # ---- What earlier runs left ----

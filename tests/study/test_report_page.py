@@ -26,6 +26,10 @@ CHROMIUM = os.environ.get("CHROMIUM") or next(
     filter(None, map(shutil.which, ("chromium", "chromium-headless-shell", "google-chrome"))), None
 )
 
+needs_browser = pytest.mark.skipif(
+    CHROMIUM is None, reason="no Chromium found; the CHROMIUM variable may name one"
+)
+
 # Runs in the page: gathers errors, reads the picture, switches to the second one, reads that.
 PROBE = """<script>
 const problems = [];
@@ -138,7 +142,8 @@ def test_efficiencies_have_their_intervals(comparison, text):
     cells = Page(text).cells
     for measurement in comparison.measurements:
         for one in measurement.efficiency.values():
-            assert f"{one.value:.2f}\n[{one.low:.2f}, {one.high:.2f}]" in cells
+            ends = [f"{v:.2f}" if 0.005 <= v < 1000 else f"{v:.0e}" for v in (one.low, one.high)]
+            assert f"{one.value:.2f}\n[{ends[0]}, {ends[1]}]" in cells
     assert "Student's t with 1 degree\nof freedom" in html.unescape(text)
 
 
@@ -197,24 +202,27 @@ def test_curves_are_drawn_inline(text):
     assert len(identifiers) == len(set(identifiers)) > 0
 
 
-@pytest.mark.skipif(
-    CHROMIUM is None, reason="no Chromium found; the CHROMIUM variable may name one"
-)
-def test_report_works_in_a_browser(comparison, text, tmp_path):
-    file = tmp_path / "report.html"
-    file.write_text(text.replace("<head>", f"<head>{PROBE}", 1), encoding="utf-8")
+def probe(text, script, folder):
+    """What a script finds in a page, in a window of 1000 × 800 pixels."""
+    file = folder / "report.html"
+    file.write_text(text.replace("<head>", f"<head>{script}", 1), encoding="utf-8")
     process = subprocess.run(
         [
             CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
             "--no-first-run", "--disable-background-networking", "--disable-component-update",
-            "--disable-sync", f"--user-data-dir={tmp_path / 'profile'}",
+            "--disable-sync", f"--user-data-dir={folder / 'profile'}", "--window-size=1000,800",
             "--virtual-time-budget=10000", "--dump-dom", file.as_uri(),
         ],
-        capture_output=True, text=True, timeout=60, check=True,
+        capture_output=True, text=True, timeout=120, check=True,
     )  # fmt: skip
-    probe = re.search(r'<pre id="probe">(.*?)</pre>', process.stdout, re.DOTALL)
-    assert probe, process.stderr
-    result = json.loads(html.unescape(probe.group(1)))
+    found = re.search(r'<pre id="probe">(.*?)</pre>', process.stdout, re.DOTALL)
+    assert found, process.stderr
+    return json.loads(html.unescape(found.group(1)))
+
+
+@needs_browser
+def test_report_works_in_a_browser(comparison, text, tmp_path):
+    result = probe(text, PROBE, tmp_path)
     assert result["problems"] == []
     assert result["names"][1].endswith("area, 2 spp")
 
@@ -227,3 +235,35 @@ def test_report_works_in_a_browser(comparison, text, tmp_path):
         # The copies in the page have 8 bits a channel and a common exponent.
         assert np.abs(shown - 255 * srgb).mean() < 2
     assert result["first"] != result["second"]
+
+
+# What each table needs and what the window gives it
+WIDTHS = """<script>
+window.addEventListener("load", () => {
+    const output = document.createElement("pre");
+    output.id = "probe";
+    output.textContent = JSON.stringify(
+        [...document.querySelectorAll(".scroll")].map(one => [one.scrollWidth, one.clientWidth])
+    );
+    document.body.append(output);
+});
+</script>"""
+
+
+@needs_browser
+def test_tables_fit_a_window_of_1000_pixels(comparison, tmp_path):
+    longest = "projected_solid_angle_one_sided+ungrouped"
+    names = {"solid_angle": longest, "area": "area"}
+    changed = dataclasses.replace(
+        comparison,
+        folder=tmp_path,
+        strategies=tuple(names[name] for name in comparison.strategies),
+        measurements=tuple(
+            dataclasses.replace(one, sampling=names[one.sampling])
+            for one in comparison.measurements
+        ),
+    )
+    widths = probe(write_report(changed).read_text(encoding="utf-8"), WIDTHS, tmp_path)
+    assert len(widths) == 4
+    assert [needed for needed, given in widths if needed > given] == []
+    assert max(given for _, given in widths) <= 1000

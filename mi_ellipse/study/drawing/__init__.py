@@ -6,12 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from ...files import atomic
+from ..measuring import Progress
 from ..results import EQUAL_SAMPLES, EQUAL_TIME, Comparison
 from ..tidying import put_away
 from .curves import curve_names, draw_curve
@@ -20,10 +21,6 @@ from .insets import Inset, check_inside, choose_insets
 from .style import DPI, style_of, text
 
 __all__ = ["Figures", "Inset", "choose_insets", "picture_grid", "style_of", "write_figures"]
-
-
-# Called with a step of the work, and how much of how much is done.
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -69,23 +66,35 @@ def write_figures(
         for spp in comparison.spp
     }
     curves = {name: folder / f"{name}.svg" for name in curve_names(comparison)}
-    jobs: list[tuple[Callable[[], Figure], Path, tuple[str, ...]]] = [
-        (partial(picture_grid, comparison, *key, insets), file, (".png", ".pdf"))
+    drawings = [
+        _Drawing(partial(picture_grid, comparison, *key, insets), file, (".png", ".pdf"))
         for key, file in grids.items()
-    ]
-    jobs += [
-        (partial(draw_curve, comparison, name), file, (".svg", ".png", ".pdf"))
+    ] + [
+        _Drawing(partial(draw_curve, comparison, name), file, (".svg", ".png", ".pdf"))
         for name, file in curves.items()
     ]
-    total = sum(len(suffixes) for _, _, suffixes in jobs)
-    written: list[Path] = []
-    for draw, file, suffixes in jobs:
-        figure = draw()
-        for suffix in suffixes:
-            written.append(_save(figure, file.with_suffix(suffix)))
-            progress("figures", len(written), total)
-    put_away(folder, written)
+    put_away(folder, _write(drawings, progress))
     return Figures(grids, curves)
+
+
+class _Drawing(NamedTuple):
+    """A figure that is to be drawn, and the files that it goes to."""
+
+    draw: Callable[[], Figure]
+    file: Path
+    suffixes: tuple[str, ...]
+
+
+def _write(drawings: Sequence[_Drawing], progress: Progress) -> list[Path]:
+    """Draw figures one after the other, and return their files."""
+    total = sum(len(one.suffixes) for one in drawings)
+    written: list[Path] = []
+    for one in drawings:
+        figure = one.draw()
+        for suffix in one.suffixes:
+            written.append(_save(figure, one.file.with_suffix(suffix)))
+            progress("figures", len(written), total)
+    return written
 
 
 def _save(figure: Figure, file: Path) -> Path:

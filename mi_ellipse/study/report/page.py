@@ -183,7 +183,7 @@ def _table(comparison: Comparison, kind: str) -> list[list[_Row]]:
 
 def _breakable(name: str) -> Markup:
     """Return a name that a browser may break after each of its parts."""
-    return Markup(re.sub("([_+=])", r"\1<wbr>", escape(name)))
+    return Markup(re.sub("([_+=])", r"\1<wbr>", str(escape(name))))
 
 
 def _columns(columns: list[list[_Cell]]) -> list[list[_Cell]]:
@@ -246,4 +246,9 @@ def _with_error(error: Estimate) -> str:
 def _with_interval(one: Efficiency) -> str:
     if np.isnan(one.low) or one.low == one.high:
         return f"{one.value:.2f}"
-    return f"{one.value:.2f}\n[{one.low:.2f}, {one.high:.2f}]"
+    return f"{one.value:.2f}\n[{_end(one.low)}, {_end(one.high)}]"
+
+
+def _end(value: float) -> str:
+    """Return an end of an interval; those of few seeds can be very far apart."""
+    return f"{value:.2f}" if 0.005 <= value < 1000 else f"{value:.0e}"
