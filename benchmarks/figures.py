@@ -194,8 +194,8 @@ def bulbs() -> str:
     for kind, entry in data("bulbs")["kinds"].items():
         cells = []
         for samples in (DIRECT, BOTH):
-            error = f"{1e6 * entry[samples]['trimmed']:.3g}"
-            cells += [error, number(entry[samples]["error_ratio"], 3)]
+            of = entry[samples]
+            cells += [number(1e6 * of["trimmed"], 3), number(of["error_ratio"], 3)]
         time = "{median:.2f} [{low:.2f}, {high:.2f}]".format(**entry["time"])
         rows.append([kind, *cells, time])
     return table("lamps | light samples | times lower | MIS | times lower | time", rows)
