@@ -18,7 +18,13 @@ from mi_ellipse.sampling import DEFAULT, STRATEGIES
 from .text import table
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = ("README.md", "docs/clusters.md", "docs/strategies.md", "docs/study.md")
+PAGES = (
+    "README.md",
+    "docs/clusters.md",
+    "docs/many_lamps.md",
+    "docs/strategies.md",
+    "docs/study.md",
+)
 BLOCK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- end of figures -->)", re.DOTALL)
 
 BARE = "bare floor and ball"

@@ -222,8 +222,9 @@ def exact_choice(scene: mi.Scene) -> mi.Integrator:
     """Integrator of light samples whose lamp is chosen in proportion to its exact irradiance.
 
     The irradiance is that of `mi_ellipse.irradiance` on the side of the surface that is seen, which
-    an emitter does not know. The direction is that of the lamp's own strategy. For scenes whose
-    emitters are all lamps that are not grouped, and for diffuse surfaces.
+    an emitter does not know, and on the emitting side of the lamp. The direction is that of the
+    lamp's own strategy. For scenes whose emitters are all lamps that are not grouped, and for
+    diffuse surfaces.
     """
     lights = [
         (emitter.get_shape(), float(np.mean(np.array(mi.traverse(emitter)["radiance.value"]))))
@@ -235,9 +236,11 @@ def exact_choice(scene: mi.Scene) -> mi.Integrator:
         def sample(self, scene, sampler, ray, medium=None, active=True):
             si = scene.ray_intersect(ray, active)
             normal = dr.mulsign(si.n, si.wi.z)
-            weights = [
-                power * mi_ellipse.irradiance(to_world, si.p, normal) for to_world, power in lights
-            ]
+            weights = []
+            for to_world, power in lights:
+                axis, offset = to_world @ mi.Normal3f(0, 0, 1), si.p - to_world @ mi.Point3f(0)
+                irradiance = mi_ellipse.irradiance(to_world, si.p, normal)
+                weights.append(dr.select(dr.dot(axis, offset) > 0, power * irradiance, 0))
             total = sum(weights[1:], weights[0])
             mark = sampler.next_1d() * total
             chosen, weight, end = mi.UInt32(0), weights[0], weights[0]
@@ -426,7 +429,7 @@ def draw_pictures() -> dict[str, dict[str, float]]:
     for kind in shown:
         scene, ratio = load(large_bunny, kind), times[kind].median
         spp = max(round(SPP_SHOWN / ratio), 1)
-        title = f"{kind.replace('_', ' ')}: {spp} samples"
+        title = kind.replace("_", " ") + f"\n{spp} samples"
         pictures[title] = np.array(mi.render(scene, spp=spp, seed=1))
         drawn[kind] = {"spp": spp, "time": ratio}
     pictures["reference"] = np.array(mi.render(scene, spp=REFERENCE_SPP, seed=2))
