@@ -52,7 +52,7 @@ IMAGES = SCENES.parent / "docs" / "images"
 GAINS = IMAGES / "many_lamps.svg"
 PICTURES = IMAGES / "many_lamps_bunny.png"
 SIZE_SHOWN, SPP_SHOWN, REFERENCE_SPP = 320, 16, 2048
-INSETS = {"#D55E00": (40, 200, 80, 60), "#0072B2": (160, 110, 80, 60)}  # column, row, width, height
+INSETS = {"#D55E00": (40, 190, 72, 72), "#0072B2": (160, 105, 72, 72)}  # column, row, width, height
 
 Load: TypeAlias = "Callable[[str], mi.Scene]"  # Of a kind of lamps
 
