@@ -27,7 +27,15 @@ mi.set_variant("llvm_ad_rgb")
 from mi_ellipse.study.metrics import trimmed_mean  # noqa: E402
 
 from .harness import machine  # noqa: E402
-from .scenes import BUILT_IN, LIGHT_SAMPLES, PATH, RADIANCE, SEMI_AXES, lamp  # noqa: E402
+from .scenes import (  # noqa: E402
+    BUILT_IN,
+    LIGHT_SAMPLES,
+    PATH,
+    RADIANCE,
+    SEMI_AXES,
+    lamp,
+    sensor,
+)
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 HEIGHTS = (0.25, 0.6)
@@ -114,14 +122,7 @@ class Cycles(Blender):
 def mitsuba_scene(kind: str, integrator: dict, height: float) -> mi.Scene:
     """The same scene with a strategy or Mitsuba's own lamp."""
     transform = mi.ScalarTransform4f()
-    film = {
-        "type": "hdrfilm",
-        "width": SCENE["size"],
-        "height": SCENE["size"],
-        "rfilter": {"type": "box"},
-        "pixel_format": "rgb",
-        "component_format": "float32",
-    }
+    camera = transform.look_at(SCENE["origin"], SCENE["target"], [0, 0, 1])
     floor = {
         "type": "rectangle",
         "to_world": transform.scale(SCENE["floor_half_width"]),
@@ -131,13 +132,7 @@ def mitsuba_scene(kind: str, integrator: dict, height: float) -> mi.Scene:
         {
             "type": "scene",
             "integrator": integrator,
-            "sensor": {
-                "type": "perspective",
-                "fov": SCENE["fov"],
-                "to_world": transform.look_at(SCENE["origin"], SCENE["target"], [0, 0, 1]),
-                "film": film,
-                "sampler": {"type": "independent"},
-            },
+            "sensor": sensor(camera, SCENE["fov"], SCENE["size"]),
             "floor": floor,
             "lamp": lamp(kind, transform.translate([0, 0, height]).rotate([1, 0, 0], 180 - TILT)),
         }

@@ -20,7 +20,7 @@ import numpy as np
 
 from .cycles import DOCS, ESTIMATORS, SCENE, Blender, agreement, moments, render
 from .harness import machine
-from .scenes import BUILT_IN
+from .scenes import BUILT_IN, sensor
 
 COUNTS = (2, 16, 100)
 SIZE = 100
@@ -94,22 +94,9 @@ def mitsuba_scene(kind: str, integrator: dict, scene: dict) -> mi.Scene:
         thing["bsdf"] = gray
     for k, lamp in enumerate(scene["lamps"]):
         things[f"lamp{k}"] = mitsuba_lamp(kind, lamp)
-    film = {
-        "type": "hdrfilm",
-        "width": scene["size"],
-        "height": scene["size"],
-        "rfilter": {"type": "box"},
-        "pixel_format": "rgb",
-        "component_format": "float32",
-    }
-    sensor = {
-        "type": "perspective",
-        "fov": scene["fov"],
-        "to_world": transform.look_at(scene["origin"], scene["target"], [0, 0, 1]),
-        "film": film,
-        "sampler": {"type": "independent"},
-    }
-    return mi.load_dict({"type": "scene", "integrator": integrator, "sensor": sensor} | things)
+    camera = transform.look_at(scene["origin"], scene["target"], [0, 0, 1])
+    things["sensor"] = sensor(camera, scene["fov"], scene["size"])
+    return mi.load_dict({"type": "scene", "integrator": integrator} | things)
 
 
 def mitsuba_lamp(kind: str, lamp: dict) -> dict:

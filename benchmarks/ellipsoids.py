@@ -10,7 +10,7 @@ import numpy as np
 
 from .error import errors
 from .harness import PAIRS, compare_times, rendering
-from .scenes import LIGHT_SAMPLES, PATH, RADIANCE
+from .scenes import LIGHT_SAMPLES, PATH, RADIANCE, sensor
 
 BUILT_IN = "built-in"  # `sphere` + `area`, or 20 480 triangles + `area`
 KINDS = ("area", "solid_angle", "projected_solid_angle")
@@ -28,18 +28,11 @@ def floor_lamp(shape: str, kind: str, height: float, integrator: dict) -> mi.Sce
     transform = mi.ScalarTransform4f
     x = BESIDE[shape]
     camera = transform().look_at([x, -0.001, 6], [x, 0, 0], [0, 1, 0])
-    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}}
     return mi.load_dict(
         {
             "type": "scene",
             "integrator": integrator,
-            "sensor": {
-                "type": "perspective",
-                "fov": 12,
-                "to_world": camera,
-                "film": film | {"pixel_format": "rgb", "component_format": "float32"},
-                "sampler": {"type": "independent"},
-            },
+            "sensor": sensor(camera, 12, SIZE),
             "floor": {"type": "rectangle", "to_world": transform().scale(4)},
             "lamp": lamp(shape, kind, height),
         }

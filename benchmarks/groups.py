@@ -30,7 +30,7 @@ from .harness import (
 )
 from .lamps import many_lamps
 from .pictures import draw
-from .scenes import BUILT_IN, LIGHT_SAMPLES, PATH, SCENES, lamp, scene_file
+from .scenes import BUILT_IN, LIGHT_SAMPLES, PATH, SCENES, floor_and_ball, lamp, scene_file
 
 STRATEGIES = ("solid_angle", "projected_solid_angle")
 GROUPED = ", grouped"
@@ -60,31 +60,9 @@ Load: TypeAlias = "Callable[[str], mi.Scene]"  # Of a kind of lamps
 # ---- Scenes ----
 
 
-def floor_and_ball(lamps: dict, camera: Sequence[float]) -> mi.Scene:
-    """Lamps above a floor with a ball. Pixels have independent errors."""
-    look_at = mi.ScalarTransform4f().look_at(camera, [0, 0, 0.3], [0, 0, 1])
-    return mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": PATH,
-            "sensor": {
-                "type": "perspective",
-                "fov": 40,
-                "to_world": look_at,
-                "film": {
-                    "type": "hdrfilm",
-                    "width": SIZE,
-                    "height": SIZE,
-                    "rfilter": {"type": "box"},
-                    "component_format": "float32",
-                },
-                "sampler": {"type": "independent"},
-            },
-            "floor": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(4)},
-            "ball": {"type": "sphere", "center": [-0.5, -1.6, 0.4], "radius": 0.4},
-            **lamps,
-        }
-    )
+def above_floor(lamps: dict, camera: Sequence[float]) -> mi.Scene:
+    """Lamps above a floor with a ball."""
+    return floor_and_ball(lamps, PATH, SIZE, camera)
 
 
 def two_discs(kind: str, tilt: float) -> mi.Scene:
@@ -102,7 +80,7 @@ def two_discs(kind: str, tilt: float) -> mi.Scene:
             .scale(radius)
         )
         lamps[name] = _disc(kind, to_world, radiance)
-    return floor_and_ball(lamps, [0, -6, 4])
+    return above_floor(lamps, [0, -6, 4])
 
 
 def equal_lamps_far_away(kind: str) -> mi.Scene:
@@ -112,7 +90,7 @@ def equal_lamps_far_away(kind: str) -> mi.Scene:
         place = mi.ScalarTransform4f().translate([0.5 * x, 0.5 * y, 8])
         to_world = place.rotate([1, 0, 0], 180).scale(0.4)
         lamps[f"lamp{k}"] = _disc(kind, to_world, [30, 30, 30])
-    return floor_and_ball(lamps, [0, -6, 4])
+    return above_floor(lamps, [0, -6, 4])
 
 
 def tilted_lamps(kind: str, count: int) -> mi.Scene:
@@ -125,7 +103,7 @@ def tilted_lamps(kind: str, count: int) -> mi.Scene:
         size, tilt = rng.uniform(0.2, 1.0) / side, rng.uniform(120, 240)
         place = mi.ScalarTransform4f().translate([x, y, 1])
         lamps[f"lamp{k}"] = lamp(kind, place.rotate([0, 1, 0], tilt).scale(size))
-    return floor_and_ball(lamps, [0, -8, 5])
+    return above_floor(lamps, [0, -8, 5])
 
 
 def rooms(kind: str) -> mi.Scene:
@@ -148,7 +126,7 @@ def rooms(kind: str) -> mi.Scene:
             lamps[f"wall_x{k}{j}"] = _wall([at, middle, 1.0], size)
             lamps[f"wall_y{k}{j}"] = _wall([middle, at, 1.0], [size[1], size[0], 1.0])
     lamps["ceiling"] = _wall([0, 0, 2.05], [4.6, 4.6, 0.05])
-    return floor_and_ball(lamps, [1.0, -1.2, 1.5])
+    return above_floor(lamps, [1.0, -1.2, 1.5])
 
 
 def _wall(centre: Sequence[float], half: Sequence[float]) -> dict:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import mi_ellipse
@@ -28,6 +29,41 @@ PATH = {"type": "path", "max_depth": 2}
 LIGHT_SAMPLES = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}
 
 
+def sensor(to_world: mi.ScalarTransform4f, fov: float, size: int) -> dict:
+    """A camera whose pixels, `size` along an edge, have independent errors."""
+    return {
+        "type": "perspective",
+        "fov": fov,
+        "to_world": to_world,
+        "film": {
+            "type": "hdrfilm",
+            "width": size,
+            "height": size,
+            "rfilter": {"type": "box"},
+            "pixel_format": "rgb",
+            "component_format": "float32",
+        },
+        "sampler": {"type": "independent"},
+    }
+
+
+def floor_and_ball(
+    lamps: dict, integrator: dict, size: int, camera: Sequence[float] = (0, -6, 4)
+) -> mi.Scene:
+    """Lamps above a floor with a ball, which the camera looks at."""
+    look_at = mi.ScalarTransform4f().look_at(camera, [0, 0, 0.3], [0, 0, 1])
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": integrator,
+            "sensor": sensor(look_at, 40, size),
+            "floor": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(4)},
+            "ball": {"type": "sphere", "center": [-0.5, -1.6, 0.4], "radius": 0.4},
+            **lamps,
+        }
+    )
+
+
 def floor_ball_lamp(
     kind: str, integrator: dict = PATH, height: float = 0.6, size: int = 320
 ) -> mi.Scene:
@@ -46,29 +82,7 @@ def floor_ball_lamp(
     size
         Pixels along an edge.
     """
-    return mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": integrator,
-            "sensor": {
-                "type": "perspective",
-                "fov": 40,
-                "to_world": mi.ScalarTransform4f().look_at([0, -6, 4], [0, 0, 0.3], [0, 0, 1]),
-                "film": {
-                    "type": "hdrfilm",
-                    "width": size,
-                    "height": size,
-                    "rfilter": {"type": "box"},  # independent pixel errors
-                    "pixel_format": "rgb",
-                    "component_format": "float32",
-                },
-                "sampler": {"type": "independent"},
-            },
-            "floor": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(4)},
-            "ball": {"type": "sphere", "center": [-0.5, -1.6, 0.4], "radius": 0.4},
-            "lamp": lamp(kind, lamp_to_world(height)),
-        }
-    )
+    return floor_and_ball({"lamp": lamp(kind, lamp_to_world(height))}, integrator, size)
 
 
 def lamp_to_world(height: float) -> mi.ScalarTransform4f:

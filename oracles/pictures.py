@@ -22,6 +22,12 @@ def blocks(pictures: np.ndarray, side: int = 4) -> np.ndarray:
     return split.mean((2, 4)).reshape(n, side * side, channels)
 
 
+def assert_same_picture(got: np.ndarray, expected: np.ndarray, rtol: float) -> None:
+    """Pictures of one seed: the same numbers, up to the rounding of a transform."""
+    assert expected.max() > 0
+    np.testing.assert_allclose(got, expected, rtol=rtol, atol=1e-5)
+
+
 def assert_same_expectation(got: np.ndarray, expected: np.ndarray, within: float) -> None:
     """Welch's test of each block and channel, corrected for their number (Bonferroni).
 

@@ -23,7 +23,7 @@ except ImportError as error:
     ) from None
 
 from . import parcel, worker
-from .executor import JobExecutor
+from .executor import JobExecutor, OneByOne
 from .job import RenderJob, stamps_of
 from .parcel import Parcel
 from .scene import under_variant
@@ -370,7 +370,7 @@ class ClusterExecutor(JobExecutor):
         }
 
 
-class _Alone(Executor):
+class _Alone(OneByOne):
     """Run jobs on the worker that times them; a job whose worker dies begins again."""
 
     def __init__(self, owner: ClusterExecutor):
@@ -391,27 +391,14 @@ class _Alone(Executor):
         """Let the other workers work again; nothing is ever left to wait for or to cancel."""
         self._held.close()
 
-    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Call `fn` there, and return a future that is done."""
-        future: Future[T] = Future()
+    def _call(self, fn: Callable[..., T], *args: Any, **kwargs: Any) -> T:
         try:
-            result = self._result(fn, args)
+            result: T = self._result(fn, args)
         except Exception as error:
-            future.set_exception(self._owner.explain(error))
+            explained = self._owner.explain(error)
         else:
-            future.set_result(result)
-        return future
-
-    def map(
-        self,
-        fn: Callable[..., T],
-        *iterables: Iterable[Any],
-        timeout: float | None = None,
-        chunksize: int = 1,
-        **options: Any,
-    ) -> Iterator[T]:
-        """Yield the results in order, each made when it is asked for; the options do nothing."""
-        return (self.submit(fn, *arguments).result() for arguments in zip(*iterables, strict=False))
+            return result
+        raise explained
 
     def _result(self, fn: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
         client = self._owner.client

@@ -36,7 +36,37 @@ class JobExecutor(Executor, ABC):
         return ""
 
 
-class LocalExecutor(JobExecutor):
+class OneByOne(Executor, ABC):
+    """Run one job at a time: `submit` returns when it is done, and `map` waits to be asked."""
+
+    @abstractmethod
+    def _call(self, fn: Callable[..., T], *args: Any, **kwargs: Any) -> T:
+        """Call `fn` where this executor runs its jobs."""
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Call `fn` now, and return a future that is done; an interrupt comes through at once."""
+        future: Future[T] = Future()
+        try:
+            result = self._call(fn, *args, **kwargs)
+        except Exception as error:
+            future.set_exception(error)
+        else:
+            future.set_result(result)
+        return future
+
+    def map(
+        self,
+        fn: Callable[..., T],
+        *iterables: Iterable[Any],
+        timeout: float | None = None,
+        chunksize: int = 1,
+        **options: Any,
+    ) -> Iterator[T]:
+        """Yield the results in order, each made when it is asked for; the options do nothing."""
+        return (self.submit(fn, *arguments).result() for arguments in zip(*iterables, strict=False))
+
+
+class LocalExecutor(OneByOne, JobExecutor):
     """
     Run jobs in this process, one at a time, so that their times can be compared.
 
@@ -55,26 +85,11 @@ class LocalExecutor(JobExecutor):
         """Call `fn` now, and return a future that is done; an interrupt comes through at once."""
         if self._is_shut_down:
             raise RuntimeError("cannot submit a job to an executor that was shut down")
-        future: Future[T] = Future()
-        try:
-            with self._stage.open():
-                result = fn(*args, **kwargs)
-        except Exception as error:
-            future.set_exception(error)
-        else:
-            future.set_result(result)
-        return future
+        return super().submit(fn, *args, **kwargs)
 
-    def map(
-        self,
-        fn: Callable[..., T],
-        *iterables: Iterable[Any],
-        timeout: float | None = None,
-        chunksize: int = 1,
-        **options: Any,
-    ) -> Iterator[T]:
-        """Yield the results in order, each made when it is asked for; the options do nothing."""
-        return (self.submit(fn, *arguments).result() for arguments in zip(*iterables, strict=False))
+    def _call(self, fn: Callable[..., T], *args: Any, **kwargs: Any) -> T:
+        with self._stage.open():
+            return fn(*args, **kwargs)
 
     def alone(self) -> AbstractContextManager[Executor]:
         """Give this executor, whose jobs are always alone."""

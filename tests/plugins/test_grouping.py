@@ -3,6 +3,7 @@
 import contextlib
 import gc
 import weakref
+from functools import partial
 
 import drjit as dr
 import mi_ellipse
@@ -30,6 +31,7 @@ from mi_ellipse.lamps.group import Group
 
 from oracles.ellipse import translation
 from oracles.pictures import assert_same_expectation, render
+from oracles.pictures import assert_same_picture as same_picture
 
 jit = pytest.mark.usefixtures("llvm_ad_rgb")
 
@@ -157,10 +159,7 @@ def changed(scene, **values):
     return scene
 
 
-def assert_same_picture(got, expected):
-    """Same seed, same numbers: equal up to the rounding of a transform."""
-    assert expected.max() > 0
-    np.testing.assert_allclose(got, expected, rtol=1e-3, atol=1e-5)
+assert_same_picture = partial(same_picture, rtol=1e-3)
 
 
 @jit
