@@ -258,6 +258,7 @@ class ClusterExecutor(JobExecutor):
             return self._timing
         end = time.monotonic() + PATIENCE
         while True:
+            late = time.monotonic() > end  # Asking a worker that has just ended can take long.
             present = self._identities()
             found = sorted((one.host, address, one.machine) for address, one in present.items())
             if self._timing is not None:
@@ -266,7 +267,7 @@ class ClusterExecutor(JobExecutor):
                 _, address, machine = found[0]
                 self._timing = address, machine
                 return self._timing
-            if time.monotonic() > end:
+            if late:
                 raise ConnectionError(
                     "the worker that timed jobs is gone, and no other is like it"
                     f" ({self._timing[1] if self._timing else 'no workers'}): run the command"

@@ -46,10 +46,12 @@ def launch(folder, name, *arguments):
 def wait_for(condition, seconds=30):
     """Return what a condition gives as soon as it is true."""
     end = time.monotonic() + seconds
-    while not (result := condition()):
-        assert time.monotonic() < end, "timed out"
+    while True:
+        late = time.monotonic() > end
+        if result := condition():
+            return result
+        assert not late, "timed out"
         time.sleep(0.05)
-    return result
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +66,8 @@ def scheduler(tmp_path_factory):
         )
     ]
     try:
-        wait_for(file.exists)
-        address = json.loads(file.read_text())["address"]
+        written = wait_for(lambda: file.exists() and file.read_text())  # It is empty at first.
+        address = json.loads(written)["address"]
         processes += [
             launch(
                 folder, name, "worker", address, *host, "--nthreads", "1", "--name", name,
@@ -88,20 +90,32 @@ def executor(scheduler):
         yield executor
 
 
+def addresses(executor):
+    """Addresses of the workers, as the scheduler knows them; nothing is sent to a worker."""
+    return executor.client.nthreads().keys()
+
+
 def pids(executor):
-    """Addresses of the workers that are alive, and their process ids."""
-    return executor.client.run(os.getpid, on_error="ignore")
+    """Addresses of the workers and their process ids; all of them must be alive."""
+    return executor.client.run(os.getpid)
 
 
-def kill(executor, address):
-    """End a worker as a crash would."""
-    os.kill(pids(executor)[address], signal.SIGKILL)
+def kill(executor, *killed):
+    """
+    End workers as a crash would, and wait until the scheduler knows.
+
+    Dask tries for half a minute to reach a worker that has ended unnoticed.
+    """
+    alive = pids(executor)
+    for address in killed:
+        os.kill(alive[address], signal.SIGKILL)
+    wait_for(lambda: addresses(executor).isdisjoint(killed))
 
 
 @pytest.fixture
 def both(executor):
     """Wait until both workers are there, whatever the test before has done to them."""
-    wait_for(lambda: len(pids(executor)) == 2)
+    wait_for(lambda: len(addresses(executor)) == 2)
     return executor
 
 
@@ -230,10 +244,10 @@ def test_a_reference_is_the_local_one_bit_for_bit_when_a_worker_dies(both, small
     width, height = SMALL_SIZE
     options = {"samples_per_pass": width * height * 64}
     before = pids(both)
-    disturbed = Disturbed(both, 10, lambda: kill(both, min(pids(both))))
+    disturbed = Disturbed(both, 10, lambda: kill(both, min(before)))
     there = reference_of(small_scene, tmp_path / "there", 4096, executor=disturbed, **options)
     here = reference_of(small_scene, tmp_path / "here", 4096, **options)
-    wait_for(lambda: len(pids(both)) == 2)
+    wait_for(lambda: len(addresses(both)) == 2)
     assert len(pids(both).items() - before.items()) == 1
     assert there.spp == here.spp == 4096
     for name in ("reference", "half_1", "half_2"):
@@ -257,10 +271,9 @@ def test_an_interrupted_reference_goes_on_elsewhere(both, small_scene, tmp_path,
 def test_a_new_worker_gets_the_files_of_before(both, small_scene):
     job = RenderJob(small_scene, spp=1)
     expected = both.submit(job.run).result().image
-    sent, before = len(both._plugins), pids(both)
-    for pid in before.values():
-        os.kill(pid, signal.SIGKILL)
-    wait_for(lambda: len(set(pids(both).values()) - set(before.values())) == 2)
+    sent = len(both._plugins)
+    kill(both, *addresses(both))
+    wait_for(lambda: len(addresses(both)) == 2)
     np.testing.assert_array_equal(both.submit(job.run).result().image, expected)
     assert len(both._plugins) == sent
 
@@ -294,7 +307,7 @@ def test_timed_jobs_run_on_one_worker_while_the_others_hold_still(both, small_sc
 
 def other(executor, address):
     """The worker that is not this one."""
-    (found,) = executor.client.nthreads().keys() - {address}
+    (found,) = addresses(executor) - {address}
     return found
 
 
@@ -320,7 +333,7 @@ def test_a_timed_job_begins_again_when_its_worker_dies(both, small_scene):
     job = RenderJob(small_scene, spp=4, seed=1)
     with both.alone() as alone:
         expected = alone.submit(job.run).result().image
-        kill(both, address)
+        os.kill(pids(both)[address], signal.SIGKILL)  # The scheduler may not know yet.
         again = alone.submit(job.run).result()
     np.testing.assert_array_equal(again.image, expected)
     assert again.machine == machine
