@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGES = (
     "README.md",
     "docs/clusters.md",
+    "docs/existing_scenes.md",
     "docs/many_lamps.md",
     "docs/strategies.md",
     "docs/study.md",
@@ -207,6 +208,33 @@ def bulbs() -> str:
     return table("lamps | light samples | times lower | MIS | times lower | time", rows)
 
 
+# ---- docs/existing_scenes.md ----
+
+REGIONS = ("wall", "plates", "floor")
+
+
+def existing() -> str:
+    """Scenes that people know: how many times lower errors are with converted lamps, and time."""
+    measured, parts = data("existing"), []
+    for name, entry in measured["scenes"].items():
+        kinds = entry["kinds"]
+        shown = ["trimmed", "plain"] + [key for key in REGIONS if key in kinds["built-in"]]
+        rows = []
+        for kind, of in kinds.items():
+            ratios = [
+                "{median:.2f} [{low:.2f}, {high:.2f}]".format(**of[key]["ratio"]) for key in shown
+            ]
+            time = "{median:.2f} [{low:.2f}, {high:.2f}]".format(**of["time"])
+            rows.append([kind, number(of["trimmed"]["error"], 3), *ratios, time])
+        width, height = entry["size"]
+        parts.append(
+            f"*{name}*, {width} × {height} pixels, {entry['spp']} samples each,"
+            f" {measured['seeds']} seeds, {entry['pairs']} pairs of times:\n\n"
+            + table(" | ".join(["lamps", "trimmed MSE", *shown, "time"]), rows)
+        )
+    return "\n".join(parts)
+
+
 # ---- docs/many_lamps.md ----
 
 
@@ -297,6 +325,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "bulbs": bulbs,
     "cluster": cluster,
     "cluster_scaling": cluster_scaling,
+    "existing": existing,
     "groups": groups,
     "groups_tracing": groups_tracing,
     "strategies": readme_strategies,
