@@ -6,21 +6,18 @@ a key of `BLOCKS`. ``python -m benchmarks figures`` writes them anew.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Iterable
-from functools import cache
-from pathlib import Path
-from typing import Any
 
 from mi_ellipse.sampling import DEFAULT, STRATEGIES
 
-from .text import table
+from . import limits
+from .text import ROOT, data, number, table
 
-ROOT = Path(__file__).resolve().parent.parent
 PAGES = (
     "README.md",
     "docs/clusters.md",
+    "docs/limits.md",
     "docs/many_lamps.md",
     "docs/strategies.md",
     "docs/study.md",
@@ -44,27 +41,6 @@ def write() -> None:
 def filled(text: str) -> str:
     """Return a page with its blocks as the data have them; an unknown block is a KeyError."""
     return BLOCK.sub(lambda found: found[1] + BLOCKS[found[2]]() + found[3], text)
-
-
-@cache
-def data(name: str) -> Any:
-    """What a benchmark measured."""
-    document = json.loads((ROOT / "docs" / "data" / f"{name}.json").read_text(encoding="utf-8"))
-    return document.get(name, document)
-
-
-def number(value: float, digits: int = 2) -> str:
-    """Some significant digits, without an exponent up to a million."""
-    if value == 0:
-        return "0"
-    rounded = float(f"{value:.{digits}g}")
-    if abs(rounded) >= 1e6 or abs(rounded) < 1e-5:
-        mantissa, exponent = f"{rounded:.{digits - 1}e}".split("e")
-        return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
-    if abs(rounded) >= 10 ** (digits - 1):
-        return f"{rounded:.0f}"
-    text = f"{rounded:#.{digits}g}"
-    return f"{rounded:.7f}".rstrip("0") if "e" in text else text
 
 
 def span(values: Iterable[float], form: str = "{:.2f}") -> str:
@@ -297,8 +273,12 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "bulbs": bulbs,
     "cluster": cluster,
     "cluster_scaling": cluster_scaling,
+    "far_lamps": limits.far_lamps,
     "groups": groups,
     "groups_tracing": groups_tracing,
+    "limits": limits.kept,
+    "limits_missed": limits.missed,
+    "limits_tested": limits.tested,
     "strategies": readme_strategies,
     "bounds": readme_bounds,
     "choice": readme_choice,
