@@ -150,8 +150,8 @@ EVEN = "Density over uniform"
 ABOVE = "far", "near", "needle", "in plane"
 FILLS, STRADDLING = "fills hemisphere", "straddling"
 NEEDLES = (
-    "Across the slices of such a needle the cosine has a peak that is narrower than the peak of what"
-    " is drawn, where the needle is near (`HIGHEST_PEAK`)."
+    "Across the slices of a needle that is near, the cosine has a peak that is narrower than the"
+    " peak of what is drawn (`HIGHEST_PEAK`)."
 )
 LARGE = (
     "The density of the slices is a profile times a factor, and the factor is known at three places"
@@ -316,7 +316,9 @@ COSINE_LEFT = (
     "What is left are the shadows, which the choice does not know, and the cosine at the surface,"
     " which `solid_angle` does not follow."
 )
-PICKED = "Mitsuba picks the lamp of a light sample at random, and that noise stays."
+PICKED = (
+    "Mitsuba picks the lamp of a light sample at random, and that noise stays. A group removes it."
+)
 
 
 def net(case: str, samples: str, strategy: str, base: str = "ungrouped") -> Measured:
