@@ -28,6 +28,7 @@ NAMES = (
     "ellipsoids",
     "bulbs",
     "groups",
+    "study",
     "cluster",
 )
 FIGURES = "figures"
@@ -64,11 +65,14 @@ def main() -> None:
             figures.write()
             continue
         run = import_module(f".{name}", __package__).run
-        timed = "pairs" in signature(run).parameters and arguments.pairs
-        results = run(**({"pairs": arguments.pairs} if timed else {}))
+        document: dict[str, object] = {"machine": harness.machine()}
+        if (timed := signature(run).parameters.get("pairs")) is not None:
+            document["pairs"] = arguments.pairs or timed.default
+            document[name] = run(pairs=document["pairs"])
+        else:
+            document[name] = run()
         DATA.mkdir(parents=True, exist_ok=True)
-        results = {"machine": harness.machine(), name: results}
-        (DATA / f"{name}.json").write_text(json.dumps(results, indent=1) + "\n")
+        (DATA / f"{name}.json").write_text(json.dumps(document, indent=1) + "\n")
         report.write()
         figures.write()
 

@@ -6,13 +6,15 @@ a key of `BLOCKS`. ``python -m benchmarks figures`` writes them anew.
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from functools import partial
 
 from mi_ellipse.sampling import DEFAULT, STRATEGIES
 
-from . import limits
-from .text import ROOT, data, number, table
+from . import limits, study_page
+from .text import ROOT, data, number, span, table
 
 PAGES = (
     "README.md",
@@ -41,12 +43,6 @@ def write() -> None:
 def filled(text: str) -> str:
     """Return a page with its blocks as the data have them; an unknown block is a KeyError."""
     return BLOCK.sub(lambda found: found[1] + BLOCKS[found[2]]() + found[3], text)
-
-
-def span(values: Iterable[float], form: str = "{:.2f}") -> str:
-    """Least and largest of some numbers."""
-    values = list(values)
-    return f"{form.format(min(values))} to {form.format(max(values))}"
 
 
 # ---- README ----
@@ -167,7 +163,51 @@ def weights() -> str:
     return table(" | ".join(["strategy", *WEIGHTS, *RANGES]), rows)
 
 
-# ---- docs/study.md ----
+def machine(name: str) -> str:
+    """Where a benchmark ran."""
+    document = json.loads((ROOT / "docs" / "data" / f"{name}.json").read_text(encoding="utf-8"))
+    return f"Machine: {document['machine']}.\n"
+
+
+def plain_gains() -> str:
+    """Gains with MIS when the worst values count, too."""
+    heights = data("error")["heights"]
+    rows = [
+        [height, *(number(heights[height][BOTH][name]["gain_plain"]) for name in CHOICE)]
+        for height in HEIGHTS
+    ]
+    return table(f"lamp at | {' | '.join(f'`{name}`' for name in CHOICE)}", rows)
+
+
+def times_for_equal_noise() -> str:
+    """Time of `projected_solid_angle` for the noise of the default, and the worst of either."""
+    choice, near = data("choice"), data("error")["heights"][HEIGHTS[0]][DIRECT]
+    gains = {
+        scene: {name: entry[name]["gain"]["trimmed"] for name in ("area", *CHOICE)}
+        for scene, entry in choice.items()
+    }
+    times = {f"lamp {HEIGHTS[0]} above a floor, light samples alone": ratio_of_gains(near)}
+    times |= {scene: own[CHOICE[0]] / own[CHOICE[1]] for scene, own in gains.items()}
+    worst = {
+        name: min(own[name] / max(own.values()) for own in gains.values())
+        for name in ("area", *CHOICE)
+    }
+    against = min(own[CHOICE[0]] for own in gains.values())
+    rows = [[scene, f"{time:.2f}"] for scene, time in sorted(times.items(), key=lambda one: one[1])]
+    sentences = [
+        f"At worst, `{CHOICE[0]}` has {worst[CHOICE[0]]:.2f} of the efficiency of the best one for",
+        f"a scene, `{CHOICE[1]}` has {worst[CHOICE[1]]:.2f} and `area` has {worst['area']:.2f}.",
+        f"Against `disk` + `area`, `{CHOICE[0]}` has {against:.2f} at worst.",
+    ]
+    return table("scene | time for the same noise", rows) + "\n" + " ".join(sentences) + "\n"
+
+
+def ratio_of_gains(measured: dict) -> float:
+    """Error times time of `projected_solid_angle` over that of the default."""
+    return measured[CHOICE[0]]["gain_trimmed"] / measured[CHOICE[1]]["gain_trimmed"]
+
+
+# ---- docs/study.md, beside what `study_page` has ----
 
 
 def bulbs() -> str:
@@ -285,4 +325,8 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "names": names,
     "variance": variance,
     "weights": weights,
-}
+    "machine_of_accuracy": partial(machine, "accuracy"),
+    "machine_of_study": partial(machine, "study"),
+    "plain_gains": plain_gains,
+    "times_for_equal_noise": times_for_equal_noise,
+} | study_page.BLOCKS

@@ -35,7 +35,8 @@ Times are ratios against Mitsuba's own `disk` + `area`, called *built-in* here. 
 in one run, side by side: absolute times drift on a shared machine, ratios hold. Where a value is in
 seconds or MiB, the value of built-in stands beside it.
 
-*[low, high]* is the 95 % interval of the median over 40 pairs.
+*[low, high]* is the 95 % interval of the median over pairs of renders side by side. Each part names
+its machine and the number of pairs.
 
 The control is built-in against itself in a process of its own. It is called `disk + area again`, or
 `disk + area` in [render_time], [error] and [growth]. The control misses 1 by some amount. This
@@ -59,7 +60,8 @@ def write() -> None:
         if path.exists():
             data = json.loads(path.read_text(encoding="utf-8"))
             measured[name] = data[name]
-            parts.append(section(data[name]) + f"\nMachine: {data['machine']}.\n")
+            pairs = f"; {data['pairs']} pairs" if "pairs" in data else ""
+            parts.append(section(data[name]) + f"\nMachine: {data['machine']}{pairs}.\n")
     if {"render_time", "error"} <= measured.keys():
         _plot(measured["render_time"], measured["error"])
     (DOCS / "benchmarks.md").write_text("\n".join(parts), encoding="utf-8")

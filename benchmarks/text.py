@@ -1,9 +1,9 @@
-"""What the pages are made of: what was measured, numbers and tables."""
+"""What the pages are made of: measured data, numbers and tables."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,12 @@ def number(value: float, digits: int = 2) -> str:
         return f"{rounded:.0f}"
     text = f"{rounded:#.{digits}g}"
     return f"{rounded:.7f}".rstrip("0") if "e" in text else text
+
+
+def span(values: Iterable[float], form: str = "{:.2f}") -> str:
+    """Least and largest of some numbers."""
+    values = list(values)
+    return f"{form.format(min(values))} to {form.format(max(values))}"
 
 
 def table(head: str, rows: Sequence[Sequence[object]]) -> str:
