@@ -195,11 +195,10 @@ def variances() -> Iterator[Limit]:
         what = f"`{PROJECTED}`, 95 % of the lights, {light}"
         reason = NEEDLES if "needle" in light else LARGE
         yield Limit(VARIANCE, what, True, 0.05, accuracy(PROJECTED, light, "variance_95"), reason)
-    place = "accuracy", "rows"
     halved = partial(
         over,
-        (*place, PROJECTED, STRADDLING, "variance_mean"),
-        (*place, UNIFORM, STRADDLING, "variance_mean"),
+        ("accuracy", "rows", PROJECTED, STRADDLING, "variance_mean"),
+        ("accuracy", "rows", UNIFORM, STRADDLING, "variance_mean"),
     )
     what = f"`{PROJECTED}` over `{UNIFORM}`, {STRADDLING}"
     yield Limit(VARIANCE, what, True, 0.5, halved, SIDES)
@@ -419,19 +418,19 @@ def elsewhere() -> Iterator[Limit]:
         places = [partial(beside_cycles, count, samples, name) for name in BOTH_STRATEGIES]
         what = f"{count} lamps, {samples}"
         yield Limit(CYCLES, what, False, 5, partial(worst, False, places), TREE)
-    for *place, bound in SOLID_LIMITS:
-        shape, height, samples, strategy = place
+    for shape, height, samples, strategy, bound in SOLID_LIMITS:
+        error = partial(solid, shape, height, samples, strategy)
         what = f"{shape} at {height}, {samples}, `{strategy}`"
-        yield Limit(SOLIDS, what, False, bound, partial(solid, *place), NEAR_REASON)
-    for shape, (bound, strategies) in SOLID_TIME_LIMITS.items():
-        for height, strategy in product(data("ellipsoids")["shapes"][shape], strategies):
-            place = "ellipsoids", "shapes", shape, height, MIS, strategy, "time"
-            what = f"{shape} at {height}, `{strategy}`"
-            yield Limit(SOLID_TIMES, what, True, bound, partial(at, *place), DRAWS)
+        yield Limit(SOLIDS, what, False, bound, error, NEAR_REASON)
+    for shape, (most, strategies) in SOLID_TIME_LIMITS.items():
+        heights = data("ellipsoids")["shapes"][shape]
+        for height, strategy in product(heights, strategies):
+            time = partial(at, "ellipsoids", "shapes", shape, height, MIS, strategy, "time")
+            yield Limit(SOLID_TIMES, f"{shape} at {height}, `{strategy}`", True, most, time, DRAWS)
     what = "two workers of one thread, over one"
-    place = partial(at, "cluster", "throughput", "2 workers over 1 worker")
+    gained = partial(at, "cluster", "throughput", "2 workers over 1 worker")
     reason = "Two threads of one process do not reach twice the throughput of one either."
-    yield Limit(CLUSTER, what, False, 1.8, place, reason)
+    yield Limit(CLUSTER, what, False, 1.8, gained, reason)
 
 
 # ---- Tables ----
@@ -474,12 +473,12 @@ def missed(of: Iterable[Limit] | None = None) -> str:
         verdicts.append(limit.verdict(measured))
         if verdicts[-1] is Verdict.MISSED:
             bound = limit.say(limit.bound_that_holds(measured))
-            rows.append([f"{limit.subject}: {limit.what}", limit.asked, bound, limit.reason])
+            rows.append([limit.subject, limit.what, limit.asked, bound, limit.reason])
     holding, within, others = (verdicts.count(verdict) for verdict in Verdict)
     counts = f"Of {len(verdicts)} limits {holding} hold, and {within} more within the error."
     if not rows:
         return counts + "\n"
-    head = "what | limit | bound in its place | reason"
+    head = "of | what | limit | bound in its place | reason"
     return f"{counts} The other {others} do not hold:\n\n" + table(head, rows)
 
 

@@ -25,8 +25,9 @@ class Measured:
     @property
     def ends(self) -> tuple[float, float]:
         """The interval; the value itself at both ends where there is none."""
-        known = self.low is not None and self.high is not None
-        return (self.low, self.high) if known else (self.value, self.value)
+        if self.low is None or self.high is None:
+            return self.value, self.value
+        return self.low, self.high
 
     def __str__(self) -> str:
         digits = 4 if self.value < 2 else 3

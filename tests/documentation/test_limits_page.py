@@ -121,7 +121,7 @@ def test_tables_of_made_up_limits():
     ]
     text = limits.missed(of)
     assert text.startswith("Of 3 limits 1 hold, and 1 more within the error. The other 1 do not")
-    assert text.splitlines()[-1] == "| things: third | at least 3 | at least 1.91 | It is so. |"
+    assert text.splitlines()[-1] == "| things | third | at least 3 | at least 1.91 | It is so. |"
     assert limits.missed(of[:2]) == "Of 2 limits 1 hold, and 1 more within the error.\n"
 
 
