@@ -85,10 +85,10 @@ def run(pairs: int = PAIRS) -> dict | None:
             entry["time"] = vars(times[kind])
             print(f"{name}, {kind:<32}{entry}", flush=True)
         size = [int(known.parameters[key]) for key in ("resx", "resy")]
-        results[name] = {"spp": known.spp, "size": size, "pairs": pairs, "kinds": measured}
+        results[name] = {"spp": known.spp, "size": size, "kinds": measured}
         if known.folder == "veach-mis":
             _draw(known, mean, times[SHOWN].median)
-    return {"seeds": SEEDS, "scenes": results}
+    return {"seeds": SEEDS, "pairs": pairs, "scenes": results}
 
 
 def _errors(known: Known) -> tuple[dict[str, dict], np.ndarray]:
