@@ -248,7 +248,7 @@ def existing() -> str:
             f" {measured['seeds']} seeds and {measured['pairs']} pairs:\n\n"
             + table(" | ".join(["lamps", "trimmed MSE", *shown, "time"]), rows)
         )
-    return "\n".join(parts)
+    return "\n".join([*parts, machine("existing")])
 
 
 def existing_gain() -> str:
