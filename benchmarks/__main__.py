@@ -27,7 +27,9 @@ NAMES = (
     "growth",
     "ellipsoids",
     "bulbs",
+    "existing",
     "groups",
+    "study",
     "cluster",
 )
 FIGURES = "figures"
@@ -64,11 +66,16 @@ def main() -> None:
             figures.write()
             continue
         run = import_module(f".{name}", __package__).run
-        timed = "pairs" in signature(run).parameters and arguments.pairs
-        results = run(**({"pairs": arguments.pairs} if timed else {}))
+        document: dict[str, object] = {"machine": harness.machine()}
+        if (timed := signature(run).parameters.get("pairs")) is not None:
+            document["pairs"] = arguments.pairs or timed.default
+            document[name] = run(pairs=document["pairs"])
+        else:
+            document[name] = run()
+        if document[name] is None:  # Its scenes are missing, which it has said
+            continue
         DATA.mkdir(parents=True, exist_ok=True)
-        results = {"machine": harness.machine(), name: results}
-        (DATA / f"{name}.json").write_text(json.dumps(results, indent=1) + "\n")
+        (DATA / f"{name}.json").write_text(json.dumps(document, indent=1) + "\n")
         report.write()
         figures.write()
 

@@ -8,19 +8,20 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable
-from functools import cache
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
+from functools import partial
 
 from mi_ellipse.sampling import DEFAULT, STRATEGIES
 
-from .text import table
+from . import limits, study_page
+from .measured import at, quotient
+from .text import ROOT, data, number, span, table
 
-ROOT = Path(__file__).resolve().parent.parent
 PAGES = (
     "README.md",
     "docs/clusters.md",
+    "docs/existing_scenes.md",
+    "docs/limits.md",
     "docs/many_lamps.md",
     "docs/strategies.md",
     "docs/study.md",
@@ -44,33 +45,6 @@ def write() -> None:
 def filled(text: str) -> str:
     """Return a page with its blocks as the data have them; an unknown block is a KeyError."""
     return BLOCK.sub(lambda found: found[1] + BLOCKS[found[2]]() + found[3], text)
-
-
-@cache
-def data(name: str) -> Any:
-    """What a benchmark measured."""
-    document = json.loads((ROOT / "docs" / "data" / f"{name}.json").read_text(encoding="utf-8"))
-    return document.get(name, document)
-
-
-def number(value: float, digits: int = 2) -> str:
-    """Some significant digits, without an exponent up to a million."""
-    if value == 0:
-        return "0"
-    rounded = float(f"{value:.{digits}g}")
-    if abs(rounded) >= 1e6 or abs(rounded) < 1e-5:
-        mantissa, exponent = f"{rounded:.{digits - 1}e}".split("e")
-        return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
-    if abs(rounded) >= 10 ** (digits - 1):
-        return f"{rounded:.0f}"
-    text = f"{rounded:#.{digits}g}"
-    return f"{rounded:.7f}".rstrip("0") if "e" in text else text
-
-
-def span(values: Iterable[float], form: str = "{:.2f}") -> str:
-    """Least and largest of some numbers."""
-    values = list(values)
-    return f"{form.format(min(values))} to {form.format(max(values))}"
 
 
 # ---- README ----
@@ -191,7 +165,51 @@ def weights() -> str:
     return table(" | ".join(["strategy", *WEIGHTS, *RANGES]), rows)
 
 
-# ---- docs/study.md ----
+def machine(name: str) -> str:
+    """Where a benchmark ran."""
+    document = json.loads((ROOT / "docs" / "data" / f"{name}.json").read_text(encoding="utf-8"))
+    return f"Machine: {document['machine']}.\n"
+
+
+def plain_gains() -> str:
+    """Gains with MIS when the worst values count, too."""
+    heights = data("error")["heights"]
+    rows = [
+        [height, *(number(heights[height][BOTH][name]["gain_plain"]) for name in CHOICE)]
+        for height in HEIGHTS
+    ]
+    return table(f"lamp at | {' | '.join(f'`{name}`' for name in CHOICE)}", rows)
+
+
+def times_for_equal_noise() -> str:
+    """Time of `projected_solid_angle` for the noise of the default, and the worst of either."""
+    choice, near = data("choice"), data("error")["heights"][HEIGHTS[0]][DIRECT]
+    gains = {
+        scene: {name: entry[name]["gain"]["trimmed"] for name in ("area", *CHOICE)}
+        for scene, entry in choice.items()
+    }
+    times = {f"lamp {HEIGHTS[0]} above a floor, light samples alone": ratio_of_gains(near)}
+    times |= {scene: own[CHOICE[0]] / own[CHOICE[1]] for scene, own in gains.items()}
+    worst = {
+        name: min(own[name] / max(own.values()) for own in gains.values())
+        for name in ("area", *CHOICE)
+    }
+    against = min(own[CHOICE[0]] for own in gains.values())
+    rows = [[scene, f"{time:.2f}"] for scene, time in sorted(times.items(), key=lambda one: one[1])]
+    sentences = [
+        f"At worst, `{CHOICE[0]}` has {worst[CHOICE[0]]:.2f} of the efficiency of the best one for",
+        f"a scene, `{CHOICE[1]}` has {worst[CHOICE[1]]:.2f} and `area` has {worst['area']:.2f}.",
+        f"Against `disk` + `area`, `{CHOICE[0]}` has {against:.2f} at worst.",
+    ]
+    return table("scene | time for the same noise", rows) + "\n" + " ".join(sentences) + "\n"
+
+
+def ratio_of_gains(measured: dict) -> float:
+    """Error times time of `projected_solid_angle` over that of the default."""
+    return measured[CHOICE[0]]["gain_trimmed"] / measured[CHOICE[1]]["gain_trimmed"]
+
+
+# ---- docs/study.md, beside what `study_page` has ----
 
 
 def bulbs() -> str:
@@ -205,6 +223,44 @@ def bulbs() -> str:
         time = "{median:.2f} [{low:.2f}, {high:.2f}]".format(**entry["time"])
         rows.append([kind, *cells, time])
     return table("lamps | light samples | times lower | MIS | times lower | time", rows)
+
+
+# ---- docs/existing_scenes.md ----
+
+REGIONS = ("wall", "plates", "floor")  # of the scenes that have them
+INTERVAL = "{median:.2f} [{low:.2f}, {high:.2f}]"
+
+
+def existing() -> str:
+    """Scenes that people know: how many times lower errors are with converted lamps, and time."""
+    measured, parts = data("existing"), []
+    for name, entry in measured["scenes"].items():
+        kinds, (width, height) = entry["kinds"], entry["size"]
+        built_in = kinds["built-in"]
+        shown = ["trimmed", "plain", *(region for region in REGIONS if region in built_in)]
+        rows = []
+        for kind, of in kinds.items():
+            gains = ["1" if of is built_in else INTERVAL.format(**of[k]["ratio"]) for k in shown]
+            error, time = number(of["trimmed"]["error"], 3), INTERVAL.format(**of["time"])
+            rows.append([kind, error, *gains, time])
+        parts.append(
+            f"*{name}*, {width} × {height} pixels with {entry['spp']} samples each,"
+            f" {measured['seeds']} seeds and {measured['pairs']} pairs:\n\n"
+            + table(" | ".join(["lamps", "trimmed MSE", *shown, "time"]), rows)
+        )
+    return "\n".join([*parts, machine("existing")])
+
+
+def existing_gain() -> str:
+    """What the default choice of lamps gains in the first of these scenes, at equal time."""
+    grouped = "existing", "scenes", "Veach MIS", "kinds", "solid_angle, grouped"
+    time = at(*grouped, "time")
+    wall, whole = (quotient(at(*grouped, key, "ratio"), time) for key in ("wall", "trimmed"))
+    return (
+        f"At equal time, `solid_angle` with grouped lamps has {number(wall.value)} times less"
+        f" variance on the wall, and {number(whole.value)} times less in the whole picture"
+        f" ([{number(whole.low)}, {number(whole.high)}], trimmed).\n"
+    )
 
 
 # ---- docs/many_lamps.md ----
@@ -297,12 +353,22 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "bulbs": bulbs,
     "cluster": cluster,
     "cluster_scaling": cluster_scaling,
+    "existing": existing,
+    "existing_gain": existing_gain,
+    "far_lamps": limits.far_lamps,
     "groups": groups,
     "groups_tracing": groups_tracing,
+    "limits": limits.kept,
+    "limits_missed": limits.missed,
+    "limits_tested": limits.tested,
     "strategies": readme_strategies,
     "bounds": readme_bounds,
     "choice": readme_choice,
     "names": names,
     "variance": variance,
     "weights": weights,
-}
+    "machine_of_accuracy": partial(machine, "accuracy"),
+    "machine_of_study": partial(machine, "study"),
+    "plain_gains": plain_gains,
+    "times_for_equal_noise": times_for_equal_noise,
+} | study_page.BLOCKS

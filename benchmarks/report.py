@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 from mi_ellipse.sampling import STRATEGIES
 
 from .lamps import SPP as LAMPS_SPP
+from .limits import FIRST_TRACING as FIRST
 from .render_time import SCENES
 from .scenes import BUILT_IN, MESH
 from .text import table
@@ -23,8 +24,9 @@ FIRST_TRACING = (
     " 5.33 ms with `projected_solid_angle`, of 100 lamps. Its code and the code of today, in turns"
     " on one machine:\n\n"
     "| tracing, ms a lamp | first version | today |\n| --- | --- | --- |\n"
-    "| solid_angle | 1.66 | 1.13 |\n| projected_solid_angle | 6.06 | 2.15 |\n"
-    "| disk + area | 0.21 | 0.21 |"
+    f"| solid_angle | {FIRST['solid_angle']} | 1.13 |\n"
+    f"| projected_solid_angle | {FIRST['projected_solid_angle']} | 2.15 |\n"
+    f"| disk + area | {FIRST[BUILT_IN]} | 0.21 |"
 )
 
 HEAD = """# What it costs and what it buys
@@ -33,7 +35,8 @@ Times are ratios against Mitsuba's own `disk` + `area`, called *built-in* here. 
 in one run, side by side: absolute times drift on a shared machine, ratios hold. Where a value is in
 seconds or MiB, the value of built-in stands beside it.
 
-*[low, high]* is the 95 % interval of the median over 40 pairs.
+*[low, high]* is the 95 % interval of the median over pairs of renders side by side. Each part names
+its machine and the number of pairs.
 
 The control is built-in against itself in a process of its own. It is called `disk + area again`, or
 `disk + area` in [render_time], [error] and [growth]. The control misses 1 by some amount. This
@@ -42,7 +45,8 @@ amount is what luck with a process and its neighbours is worth, beyond the inter
 `python -m benchmarks` measures this page and the accuracy of the strategies anew. It writes
 `docs/data` and this page, and takes an hour and a half on two cores. `python -m benchmarks NAME`
 measures one part: the name is in brackets behind each heading. Both need `pip install '.[test]'`.
-The page [strategies](strategies.md) shows what `accuracy` measures.
+The page [strategies](strategies.md) shows what `accuracy` measures. The page [limits](limits.md)
+says which limits these figures keep.
 
 ![Time of a render on every scene, and what it buys near a lamp](images/benchmarks.png)
 """
@@ -56,7 +60,8 @@ def write() -> None:
         if path.exists():
             data = json.loads(path.read_text(encoding="utf-8"))
             measured[name] = data[name]
-            parts.append(section(data[name]) + f"\nMachine: {data['machine']}.\n")
+            pairs = f"; {data['pairs']} pairs" if "pairs" in data else ""
+            parts.append(section(data[name]) + f"\nMachine: {data['machine']}{pairs}.\n")
     if {"render_time", "error"} <= measured.keys():
         _plot(measured["render_time"], measured["error"])
     (DOCS / "benchmarks.md").write_text("\n".join(parts), encoding="utf-8")

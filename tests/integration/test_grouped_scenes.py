@@ -30,6 +30,6 @@ def test_same_picture_as_ungrouped(name):
         scene = mi.load_file(str(SCENES / f"{name}.xml"), resx=16, resy=16)
         if grouped:
             assert len(mi_ellipse.group_lamps(scene)) > 1
-        pictures.append(render(scene, 256))
+        pictures.append(render(scene, 512))
     # A lamp that answers without its part of the choice is off by half.
     assert_same_expectation(*pictures, within=0.1)
