@@ -69,6 +69,11 @@ def _accepts_numpy(function):
             return function(to_world, *map(mi.Vector3f, vectors))
 
         vectors = np.broadcast_arrays(*vectors)
+        if vectors[0].shape[-1:] != (3,):
+            raise ValueError(
+                f"{function.__name__}: points and normals are arrays of shape (…, 3), and these"
+                f" have the shape {vectors[0].shape}"
+            )
         shape = vectors[0].shape[:-1]
         rows = [np.asarray(v, dtype=np.float32).reshape(-1, 3) for v in vectors]
         if dr.is_jit_v(mi.Float):
@@ -87,6 +92,8 @@ def _from_numpy(to_world):
     if isinstance(to_world, Ellipsoid):
         return Ellipsoid(_from_numpy(to_world.to_world))
     if isinstance(to_world, np.ndarray):
+        if to_world.shape != (4, 4):
+            raise ValueError(f"to_world: a matrix has the shape (4, 4), not {to_world.shape}")
         return mi.ScalarAffineTransform4d(np.asarray(to_world, dtype=float))
     return to_world
 
@@ -124,6 +131,18 @@ def solid_angle(to_world, point):
     mi.Float or numpy.ndarray
         Steradians, between 0 and 2π; 0 where the solid angle is below 1e-38. The relative error is
         1e-6, or ten times the error of rounding the input to single precision if that is larger.
+
+    Raises
+    ------
+    ValueError
+        If a NumPy array has another shape.
+
+    Notes
+    -----
+    The cone of the light is that of E. Heitz, *Analytical Calculation of the Solid Angle Subtended
+    by an Arbitrarily Positioned Ellipsoid to a Point Source* (2017). Its solid angle is Carlson's
+    ``(4/3) ta tb R_J(0, 1 + ta², 1 + tb², 1)``, computed in the form of R. Bulirsch (*Numerical
+    Calculation of Elliptic Integrals and Elliptic Functions III*, 1969).
     """
     view = _view(to_world, point)
     return _or_zero(view, cone.solid_angle(view.cone))
@@ -140,6 +159,22 @@ def tangent_ellipse(to_world, point) -> TangentEllipse:
     point
         World-space points. Inside an ellipsoid, and beyond some 1e18 sizes of a light, the result
         says nothing, or is not finite.
+
+    Returns
+    -------
+    TangentEllipse
+        Fields of Mitsuba's types, or arrays of the shapes (…, 3) for axes and (…) for tangents. The
+        directions with ``(X/ta)² + (Y/tb)² ≤ 1`` meet the light, for ``X = d·x / d·z``,
+        ``Y = d·y / d·z`` and ``d·z > 0``.
+
+    Raises
+    ------
+    ValueError
+        If a NumPy array has another shape.
+
+    Notes
+    -----
+    Principal axes of the cone after E. Heitz (2017), see `solid_angle`.
     """
     view = _view(to_world, point)
     seen = view.cone
@@ -151,8 +186,7 @@ def tangent_ellipse(to_world, point) -> TangentEllipse:
 def vector_irradiance(to_world, point):
     """Integral of the direction over the solid angle of a light of unit radiance.
 
-    Its dot product with a normal is the irradiance, if the light is above the horizon. See
-    `geometry.cone.vector_irradiance`.
+    Its dot product with a normal is the irradiance, if the light is above the horizon.
 
     Parameters
     ----------
@@ -160,6 +194,22 @@ def vector_irradiance(to_world, point):
         Transform of the light, or its matrix; or an `Ellipsoid`.
     point
         World-space points.
+
+    Returns
+    -------
+    mi.Vector3f or numpy.ndarray
+        World-space vectors, of the shape (…, 3), of lengths from 0 to π: irradiance over radiance.
+
+    Raises
+    ------
+    ValueError
+        If a NumPy array has another shape.
+
+    Notes
+    -----
+    It is ``π sin α sin β z`` with the half-angles α and β and the axis z of the cone: E. Heitz and
+    S. Hill, *Real-Time Line- and Disk-Light Shading with Linearly Transformed Cosines* (SIGGRAPH
+    course, 2017).
     """
     view = _view(to_world, point)
     return _or_zero(view, view.light.to_world(cone.vector_irradiance(view.cone)))
@@ -181,8 +231,19 @@ def irradiance(to_world, point, normal):
     Returns
     -------
     mi.Float or numpy.ndarray
-        Irradiance over radiance, in [0, π]. The error is some 1e-6 of the irradiance without the
-        horizon.
+        Irradiance over radiance, in [0, π]: lx for a light of 1 cd/m², W/m² for one of
+        1 W/(m² sr). The error is some 1e-6 of the irradiance without the horizon.
+
+    Raises
+    ------
+    ValueError
+        If a NumPy array has another shape.
+
+    Notes
+    -----
+    The closed form of E. Heitz and S. Hill (2017), see `vector_irradiance`. Where the horizon
+    divides the light, what it counts as negative is added again: an integral over the azimuth, by
+    a Gauss-Legendre rule of 32 nodes.
     """
     view = _view(to_world, point)
     seen = view.cone
@@ -206,6 +267,20 @@ def tessellate(to_world, segments: int = 64, props: mi.Properties | None = None)
         5. The errors of both are those of `geometry.mesh`.
     props
         Properties of the mesh, such as a BSDF or an emitter.
+
+    Returns
+    -------
+    mi.Mesh
+        With normals, and the texture coordinates of Mitsuba's `disk` or `sphere`.
+
+    Raises
+    ------
+    ValueError
+        If `segments` is too small.
+
+    Notes
+    -----
+    A fan for an ellipse, which has its area; a geodesic sphere for an ellipsoid.
     """
     if isinstance(to_world, Ellipsoid):
         return tessellate_ellipsoid(to_world.to_world, segments, props)

@@ -196,3 +196,18 @@ def test_every_place_in_every_variant(variant):
     # In its plane a light fills half of all directions inside, and none outside.
     assert omega[2] == pytest.approx(2 * np.pi, rel=1e-5)
     assert omega[3] == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.usefixtures("llvm_ad_rgb")
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((np.eye(4), np.zeros((6, 2))), r"solid_angle: points .* shape \(…, 3\), .* \(6, 2\)"),
+        ((np.eye(4), np.zeros(())), r"solid_angle: points .* shape \(…, 3\), .* \(\)"),
+        ((np.eye(3), np.zeros(3)), r"to_world: a matrix has the shape \(4, 4\), not \(3, 3\)"),
+        ((mi_ellipse.Ellipsoid(np.eye(3)), np.zeros(3)), r"to_world: .* not \(3, 3\)"),
+    ],
+)
+def test_arrays_of_another_shape_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        mi_ellipse.solid_angle(*arguments)

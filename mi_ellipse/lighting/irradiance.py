@@ -83,6 +83,11 @@ def direct_irradiance(
     ------
     ValueError
         If `samples` or `seed` is impossible, or an array has another shape.
+
+    Notes
+    -----
+    The even spreading is that of M. Roberts, *The Unreasonable Effectiveness of Quasirandom
+    Sequences* (2018).
     """
     if samples < 1:
         raise ValueError(f"samples={samples}: a point needs at least 1")

@@ -37,6 +37,11 @@ def group_lamps(scene: mi.Scene, lamps: Sequence[mi.Emitter] | None = None) -> G
     ------
     ValueError
         If one of `lamps` is no `ellipticalarea` of the scene.
+
+    Notes
+    -----
+    The choice among many lamps is a tree, after A. Conty Estevez and C. Kulla, *Importance Sampling
+    of Many Lights with Adaptive Tree Splitting* (HPG 2018).
     """
     own = every = [emitter for emitter in scene.emitters() if hasattr(emitter, "attachment")]
     if lamps is not None:
