@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from ..study.results import Comparison, Measurement
 
 METRIC = "mse_trimmed"
-WIDTH = 120  # characters, enough for the longest names
+ANY_WIDTH = 10_000  # characters, more than a table needs
 
 
 def print_summary(comparison: Comparison, console: Console) -> None:
@@ -28,9 +28,10 @@ def print_summary(comparison: Comparison, console: Console) -> None:
             table.add_row(f"{one.kind}, {first} at {one.first_spp} spp", style="italic")
         table.add_row(*_cells(one))
     # Lines longer than a narrow terminal are better than broken cells.
+    needed = console.measure(table, options=console.options.update(width=ANY_WIDTH)).maximum
     wide = Console(
         file=console.file,
-        width=max(console.width, WIDTH),
+        width=max(console.width, needed),
         force_terminal=console.is_terminal,
     )
     wide.print(table)
