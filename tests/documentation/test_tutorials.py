@@ -178,15 +178,17 @@ def test_another_print_is_seen(printed, shown):
         assert_printed(printed, shown)
 
 
+SAMPLERS = (ROOT / "docs" / "tutorials" / "samplers.md").read_text(encoding="utf-8")
+
+
 def strategy_of_the_page():
     """Name and code of the strategy that the page on samplers adds."""
-    page = (ROOT / "docs" / "tutorials" / "samplers.md").read_text(encoding="utf-8")
-    (step,) = (step for step in steps(page) if step.file is not None)
+    (step,) = (step for step in steps(SAMPLERS) if step.file is not None)
     assert Path(step.file).parent == Path("mi_ellipse/sampling")
     return Path(step.file).stem, step.code
 
 
-def run_strategy_tests(folder, name, code, chosen):
+def run_strategy_tests(folder, name, code, chosen, *options):
     """Run tests of strategies in a process in which the page's strategy is registered."""
     (folder / f"{name}.py").write_text(code)
     (folder / "with_strategy.py").write_text(
@@ -194,20 +196,22 @@ def run_strategy_tests(folder, name, code, chosen):
         f"mi_ellipse.sampling.__path__.append({str(folder)!r})\n"
         f"import mi_ellipse.sampling.{name}\n"
     )
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-p",
-        "with_strategy",
-        "-p",
-        "no:cacheprovider",
-    ]
-    command += ["tests/sampling/test_strategies.py", "-k", f"{name} and ({chosen})"]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "with_strategy"]
+    command += ["-p", "no:cacheprovider", "tests/sampling/test_strategies.py", *options]
+    command += ["-k", f"{name} and ({chosen})" if chosen else name]
     path = os.pathsep.join([str(folder), str(ROOT), os.environ.get("PYTHONPATH", "")])
     environment = os.environ | {"PYTHONPATH": path}
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+
+
+def test_tests_find_the_strategy_of_the_page(tmp_path):
+    """As many as the page says."""
+    name, code = strategy_of_the_page()
+    assert f"    pytest tests/sampling/test_strategies.py -k {name}\n" in SAMPLERS
+    passed = re.search(r"^```text\n(\d+) passed$", SAMPLERS, re.MULTILINE)[1]
+    done = run_strategy_tests(tmp_path, name, code, "", "--collect-only")
+    assert done.returncode == 0, done.stdout
+    assert f"\n{passed}/" in done.stdout
 
 
 def test_strategy_of_the_page_passes_its_tests(tmp_path):
