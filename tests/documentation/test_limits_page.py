@@ -57,6 +57,10 @@ def test_values_are_those_of_the_benchmarks():
         for base in ("ungrouped", "built-in"):
             found = limits.net("bunny", "MIS", strategy, base)
             assert found.value == pytest.approx(group[f"over {base}"]["net"])
+        row = read("study")["bunny"]["strategies"][strategy]["256"]
+        found = limits.gain_in_study("bunny", strategy).value
+        # Of four times, the median of the reciprocals is not the reciprocal of the median.
+        assert found == pytest.approx(row["lower"]["value"] / row["time"]["median"], rel=0.05)
         ball = read("ellipsoids")["shapes"]["sphere"]["1.0"]["MIS"][strategy]
         found = limits.solid("sphere", "1.0", "MIS", strategy)
         assert found.value == pytest.approx(ball["error_ratio"])
