@@ -384,7 +384,7 @@ SOLIDS = "Spheres and ellipsoids: error, times lower than built-in"
 SOLID_TIMES = "Spheres and ellipsoids: time of a render with MIS, over built-in"
 CLUSTER = "Throughput"
 TREE = (
-    "From nine lamps on, a tree leads to two lamps, and its upper levels know less than the"
+    "From nine lamps on, a tree leads to two lamps, and its nodes know less than the"
     " estimate of a lamp. With MIS, BSDF samples take a part of the noise from Cycles as well."
 )
 SOLID_LIMITS = (
@@ -565,7 +565,7 @@ TESTED = (
     ),
     (
         "a group",
-        "callables as few with 64 lamps as with 9",
+        "at most one callable more with 64 lamps than with 9",
         "tests/plugins/test_grouping.py",
         "test_kernels_do_not_grow_with_the_number_of_lamps",
     ),

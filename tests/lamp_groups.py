@@ -36,6 +36,14 @@ def ring(count=12, sampling="solid_angle"):
     }
 
 
+def half_dark():
+    """A tree whose left half, and so one of its nodes as a whole, gives no light."""
+    lamps = ring(20)
+    for k in range(5, 15):
+        lamps[f"lamp{k}"]["emitter"]["radiance"] = {"type": "rgb", "value": 0.0}
+    return lamps
+
+
 def weighted():
     lamps = two()
     lamps["left"]["emitter"]["sampling_weight"] = 3.0

@@ -51,27 +51,36 @@ def choose(
     u
         A random number in [0, 1).
     """
-    probabilities = _shares(members, first, count, it)
-    slot, start, end = mi.UInt32(0), mi.Float(0), mi.Float(0)
-    probability = probabilities[0]
-    for k in range(1, count):
+    place, chosen, u = pick(_shares(members, first, count, it), u)
+    return Choice(first + place, chosen, u)
+
+
+def pick(probabilities: list[mi.Float], u: mi.Float) -> tuple[mi.UInt32, mi.Float, mi.Float]:
+    """Place in a list of probabilities, its probability, and what is left of a random number."""
+    place, start, end = mi.UInt32(0), mi.Float(0), mi.Float(0)
+    chosen = probabilities[0]
+    for k in range(1, len(probabilities)):
         end = end + probabilities[k - 1]
-        # A slot without probability has no draws, whatever the sum is rounded to.
+        # A place without probability has no draws, whatever the sum is rounded to.
         past = (u >= end) & (probabilities[k] > 0)
-        slot = dr.select(past, mi.UInt32(k), slot)
+        place = dr.select(past, mi.UInt32(k), place)
         start = dr.select(past, end, start)
-        probability = dr.select(past, probabilities[k], probability)
-    return Choice(first + slot, probability, rescaled(u, start, probability))
+        chosen = dr.select(past, probabilities[k], chosen)
+    return place, chosen, rescaled(u, start, chosen)
 
 
 def probability(
     members: Members, first: mi.UInt32, count: int, it: mi.Interaction3f, slot: mi.UInt32
 ) -> mi.Float:
     """Probability with which `choose` takes a slot."""
-    probabilities = _shares(members, first, count, it)
+    return entry_of(_shares(members, first, count, it), slot - first)
+
+
+def entry_of(probabilities: list[mi.Float], place: mi.UInt32) -> mi.Float:
+    """The probability at a place of a list."""
     chosen = probabilities[0]
-    for k in range(1, count):
-        chosen = dr.select(slot == first + k, probabilities[k], chosen)
+    for k in range(1, len(probabilities)):
+        chosen = dr.select(place == k, probabilities[k], chosen)
     return chosen
 
 

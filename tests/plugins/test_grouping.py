@@ -19,6 +19,7 @@ from lamp_groups import (
     facing_away,
     flipped_floor,
     fog,
+    half_dark,
     load,
     others,
     ring,
@@ -49,6 +50,8 @@ CASES = {
     "light samples": (two, "llvm_ad_rgb", LIGHT_ONLY),
     "tree": (ring, "llvm_ad_rgb", LIGHT_ONLY),
     "tree with MIS": (lambda: ring(9, "projected_solid_angle"), "llvm_ad_rgb", PATH),
+    "tree of two steps": (lambda: ring(40), "llvm_ad_rgb", LIGHT_ONLY),
+    "half dark tree": (half_dark, "llvm_ad_rgb", PATH),
     "strategies": (lambda: two("projected_solid_angle", "area"), "llvm_ad_rgb", {"type": "direct"}),
     "textured": (textured, "llvm_ad_rgb", {"type": "prb", "max_depth": 3}),
     "solids": (solids, "llvm_ad_rgb", LIGHT_ONLY),
@@ -73,9 +76,9 @@ def test_same_picture_as_ungrouped(case):
         render(load(lamps(), grouped, integrator=integrator), 1024) for grouped in (True, False)
     )
     # A lamp that answers without its part of the weights is off by a tenth at least. Fog and
-    # wavelengths are noisier.
+    # wavelengths are noisier, and Mitsuba picks dark lamps as often as others.
     noisy = "fog" in case or case in ("spectral", "polarized")
-    assert_same_expectation(got, expected, within=0.3 if noisy else 0.07)
+    assert_same_expectation(got, expected, within=0.3 if noisy else 0.1 if "dark" in case else 0.07)
 
 
 @jit
@@ -116,12 +119,17 @@ def places(count=4096):
 
 
 @jit
-@pytest.mark.parametrize("lamps", [two, weighted, ring, solids])
+@pytest.mark.parametrize(
+    "lamps",
+    [two, weighted, ring, partial(ring, 20), half_dark, solids],
+    ids=["two", "weighted", "tree", "tree-of-two-steps", "half-dark", "solids"],
+)
 def test_density_of_the_scene_is_that_of_its_draw(lamps):
     scene = load(lamps(), True)
     it, u = places()
     ds, _ = scene.sample_emitter_direction(it, u, test_visibility=False)
     again = scene.pdf_emitter_direction(it, ds)
+    assert np.isfinite(again.numpy()).all()
     drawn = ds.pdf.numpy() > 0
     assert drawn.mean() > 0.5
     # Single precision; near the horizon of the surface and at the rims it loses digits.
@@ -293,14 +301,15 @@ def test_kernels_do_not_grow_with_the_number_of_lamps():
         return result
 
     operations, callables = kernels(9)
-    # As many levels of the tree
+    # One step down the tree
     more_operations, more_callables = kernels(16)
     assert more_operations <= operations + 5
     assert more_callables <= callables
-    # A level more is a step of the descent, in the draw and in the density: below half of it all.
+    # The further steps are a loop, in the draw and in the density, however many there are: they are
+    # below half of it all.
     more_operations, more_callables = kernels(64)
     assert more_operations < 1.5 * operations
-    assert more_callables <= callables
+    assert more_callables <= callables + 1
 
 
 # ---- Gradients ----
