@@ -156,6 +156,22 @@ def test_lamp_that_is_asked_directly(lamps):
         np.testing.assert_allclose(got, called, rtol=1e-4)
 
 
+@jit
+def test_density_of_a_dark_lamp_is_a_number():
+    """Its node of the tree has no power."""
+    scene = load(half_dark(), True)
+    it, _ = places(256)
+    (dark,) = (one for one in scene.emitters() if one.get_shape().id() == "lamp9")
+    ds = dr.zeros(mi.DirectionSample3f, 256)
+    ds.p = mi.traverse(dark.get_shape())["to_world"] @ mi.Point3f(0)
+    ds.d = dr.normalize(ds.p - it.p)
+    ds.dist = dr.norm(ds.p - it.p)
+    ds.emitter = mi.EmitterPtr(dark)
+    density = dark.pdf_direction(it, ds).numpy()
+    assert np.isfinite(density).all()
+    assert (density >= 0).all()
+
+
 # ---- Parameters ----
 
 
