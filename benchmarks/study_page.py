@@ -49,6 +49,7 @@ def errors(case: str) -> str:
         [
             shown(name, case not in ONE_LAMP),
             *(number(entries[count]["lower"]["value"], 3) for count in counts),
+            number(entries[counts[-1]]["typical_lower"]["value"], 3),
             "{median:.2f}".format(**entries[counts[-1]]["time"]),
             interval(entries[counts[-1]]["efficiency"]),
         ]
@@ -57,12 +58,13 @@ def errors(case: str) -> str:
     ]
     reach = widest(entry["lower"] for own in strategies.values() for entry in own.values())
     heads = " | ".join(f"{count} spp" for count in counts)
-    return (
-        table(f"lamps | {heads} | time | gain", rows)
-        + f"\n{measured['seeds']} seeds; the 95 % intervals of the errors reach {reach} to either"
-        f" side at most. *Time* and *gain* are those at {counts[-1]} samples. The reference has"
-        f" {measured['reference_spp']} samples.\n"
-    )
+    sentences = [
+        f"{measured['seeds']} seeds; the 95 % intervals of the errors reach {reach} to either side",
+        f"at most. The last three columns are those at {counts[-1]} samples. The reference has",
+        f"{measured['reference_spp']} samples.\n",
+    ]
+    rows = table(f"lamps | {heads} | typical pixel | time | gain", rows)
+    return rows + "\n" + " ".join(sentences)
 
 
 def fog_published() -> str:
