@@ -24,9 +24,9 @@ from .records import Shapes
 
 LEAF = 2  # slots of a leaf
 
-# Levels that a step descends: it chooses among eight nodes. Nodes far below tell more about what is
-# near a point than two halves of the lamps do, and eight at once take little longer than three
-# times two.
+# Levels that a step down the tree descends: it chooses among eight nodes. Nodes far below tell more
+# about what is near a point than two halves of the lamps do, and eight at once take little longer
+# than three times two. Every lamp has the code of a step, so more nodes would take longer to trace.
 LEVELS = 3
 
 # The mean of a cosine, clipped at zero, over a node: ``(m + √(m² + SOFTNESS v)) / 2`` for the mean
@@ -51,14 +51,14 @@ class Tree:
     normal: mi.Vector3f  # Mean normal, zero for lamps that shine in all directions
     flat: mi.Float  # Part of the power from lamps that have a normal
     power: mi.Float
-    depth: int = field(default=0)  # levels below the root
+    depth: int = field(default=0)  # levels below the root, a multiple of `LEVELS`
 
     def choose(self, members: Members, it: mi.Interaction3f, u: mi.Float) -> Choice:
         """Choose a lamp for a point with one random number."""
 
-        def descend(level, position, chance, u, levels=LEVELS):
-            left = position * mi.UInt32(2**levels)
-            place, share, u = choice.pick(self._shares(level, left, levels, it), u)
+        def descend(level, position, chance, u):
+            left = position * mi.UInt32(2**LEVELS)
+            place, share, u = choice.pick(self._shares(level, left, it), u)
             return left + place, chance * share, u
 
         position, chance, u = self._descend(descend, mi.UInt32(0), mi.Float(1), u)
@@ -69,36 +69,32 @@ class Tree:
         """Probability with which `choose` takes a slot."""
         position = slot // LEAF
 
-        def descend(level, chance, levels=LEVELS):
+        def descend(level, chance):
             here = position >> (mi.UInt32(self.depth) - level)
-            place = here & mi.UInt32(2**levels - 1)
-            return (chance * choice.entry_of(self._shares(level, here - place, levels, it), place),)
+            place = here & mi.UInt32(2**LEVELS - 1)
+            return (chance * choice.entry_of(self._shares(level, here - place, it), place),)
 
         (chance,) = self._descend(descend, mi.Float(1))
         return chance * choice.probability(members, position * LEAF, LEAF, it, slot)
 
     def _descend(self, step: Callable[..., tuple], *state: Any) -> tuple:
-        """Result of a first step of the levels that are left over, and of steps of `LEVELS`."""
-        top = self.depth % LEVELS or LEVELS
-        state = step(mi.UInt32(top), *state, top)
-        if self.depth == top:
-            return state
+        """Result of all steps, from the root to the leaves."""
+        first = mi.UInt32(LEVELS)
+        if self.depth == LEVELS:
+            return step(first, *state)
 
         def body(level: mi.UInt32, *state: Any) -> tuple:
             return level + mi.UInt32(LEVELS), *step(level, *state)
 
-        level = mi.UInt32(top + LEVELS)
         _, *state = dr.while_loop(
-            (level, *state), lambda level, *_: level <= mi.UInt32(self.depth), body
+            (first, *state), lambda level, *_: level <= mi.UInt32(self.depth), body
         )
         return tuple(state)
 
-    def _shares(
-        self, level: mi.UInt32, left: mi.UInt32, levels: int, it: mi.Interaction3f
-    ) -> list[mi.Float]:
-        """Probabilities of the nodes of a level that have a common ancestor `levels` above."""
+    def _shares(self, level: mi.UInt32, left: mi.UInt32, it: mi.Interaction3f) -> list[mi.Float]:
+        """Probabilities of the nodes that a step chooses among, from the leftmost one on."""
         first = left + _first(level)
-        nodes = [self._importance(first + mi.UInt32(k), it) for k in range(2**levels)]
+        nodes = [self._importance(first + mi.UInt32(k), it) for k in range(2**LEVELS)]
         power = _sum([own for _, own in nodes])  # Zero where all lamps are dark
         total = _sum([importance for importance, _ in nodes])
         some = (total > 0) & (total < dr.inf)
@@ -152,6 +148,8 @@ def _clipped_mean(mean: mi.Float, variance: mi.Float) -> mi.Float:
 def arrange(shapes: Shapes) -> np.ndarray:
     """Slots of the lamps: an array with the row of a lamp in each slot, -1 in empty ones.
 
+    Their number is that of whole steps down the tree.
+
     Halves of the lamps are separated at the median along the longest extent of their centres, or of
     their normals where those differ more.
     """
@@ -159,11 +157,13 @@ def arrange(shapes: Shapes) -> np.ndarray:
     normal = shapes.normal
     size = LEAF
     while size < count:
-        size *= 2
+        size *= 2**LEVELS
     slots = np.full(size, -1)
     pending = [(np.arange(count), 0, size)]
     while pending:
         rows, start, width = pending.pop()
+        if not len(rows):
+            continue
         if width == LEAF:
             slots[start : start + len(rows)] = rows
             continue
@@ -177,7 +177,7 @@ def arrange(shapes: Shapes) -> np.ndarray:
 
 
 def build(shapes: Shapes, planar: np.ndarray, brightness: np.ndarray, slots: np.ndarray) -> Tree:
-    """Nodes over the arranged lamps, of two leaves at least, from the leaves upwards.
+    """Nodes over the arranged lamps, of eight leaves at least, from the leaves upwards.
 
     Parameters
     ----------
