@@ -43,10 +43,10 @@ The control is built-in against itself in a process of its own. It is called `di
 amount is what luck with a process and its neighbours is worth, beyond the intervals.
 
 `python -m benchmarks` measures this page and the accuracy of the strategies anew. It writes
-`docs/data` and this page, and takes an hour and a half on two cores. `python -m benchmarks NAME`
-measures one part: the name is in brackets behind each heading. Both need `pip install '.[test]'`.
-The page [strategies](strategies.md) shows what `accuracy` measures. The page [limits](limits.md)
-says which limits these figures keep.
+`docs/data` and this page, and takes some three hours on two cores with `--pairs 12`.
+`python -m benchmarks NAME` measures one part: the name is in brackets behind each heading. Both need
+`pip install '.[test]'`. The page [strategies](strategies.md) shows what `accuracy` measures. The
+page [limits](limits.md) says which limits these figures keep.
 
 ![Time of a render on every scene, and what it buys near a lamp](images/benchmarks.png)
 """
@@ -85,7 +85,7 @@ def _calls(results: dict) -> str:
             f"{of[kind]['nanoseconds'] / draws['area']['nanoseconds']:.2f}"
             for of in (draws, densities)
         ]
-        + [_ratio(of[kind]["ratio"]) for of in (draws, densities)]
+        + [_ratio(draws[kind]["ratio"])]
         for kind in draws
     ]
     return (
@@ -95,10 +95,11 @@ def _calls(results: dict) -> str:
         "* nanoseconds a call, on both cores together, less those of the same kernel without the"
         " call;\n"
         "* the same in units of a draw by `area`;\n"
-        "* the ratio to built-in, whose density costs next to nothing.\n\n"
+        "* the ratio of a draw to one of built-in. The density of built-in costs next to nothing,"
+        " so it is no unit.\n\n"
         + table(
             "lamp | draw, ns | density, ns | draw, of `area` | density, of a draw by `area`"
-            " | draw, of built-in | density, of built-in",
+            " | draw, of built-in",
             rows,
         )
     )
