@@ -80,9 +80,9 @@ def _calls(results: dict) -> str:
     draws, densities = results["sample_direction"], results["pdf_direction"]
     rows = [
         [kind]
-        + [f"{of[kind]['nanoseconds']:.2f}" for of in (draws, densities)]
+        + [f"{max(of[kind]['nanoseconds'], 0):.2f}" for of in (draws, densities)]
         + [
-            f"{of[kind]['nanoseconds'] / draws['area']['nanoseconds']:.2f}"
+            f"{max(of[kind]['nanoseconds'], 0) / draws['area']['nanoseconds']:.2f}"
             for of in (draws, densities)
         ]
         + [_ratio(draws[kind]["ratio"])]
@@ -95,8 +95,8 @@ def _calls(results: dict) -> str:
         "* nanoseconds a call, on both cores together, less those of the same kernel without the"
         " call;\n"
         "* the same in units of a draw by `area`;\n"
-        "* the ratio of a draw to one of built-in. The density of built-in costs next to nothing,"
-        " so it is no unit.\n\n"
+        "* the ratio of a draw to one of built-in. The density of built-in costs so little that it"
+        " can come out as 0, so it is no unit.\n\n"
         + table(
             "lamp | draw, ns | density, ns | draw, of `area` | density, of a draw by `area`"
             " | draw, of built-in",
