@@ -44,9 +44,9 @@ amount is what luck with a process and its neighbours is worth, beyond the inter
 
 `python -m benchmarks` measures this page and the accuracy of the strategies anew. It writes
 `docs/data` and this page, and takes some three hours on two cores with `--pairs 12`.
-`python -m benchmarks NAME` measures one part: the name is in brackets behind each heading. Both need
-`pip install '.[test]'`. The page [strategies](strategies.md) shows what `accuracy` measures. The
-page [limits](limits.md) says which limits these figures keep.
+`python -m benchmarks NAME` measures one part: the name is in brackets behind each heading. Both
+need `pip install '.[test]'`. The page [strategies](strategies.md) shows what `accuracy` measures.
+The page [limits](limits.md) says which limits these figures keep.
 
 ![Time of a render on every scene, and what it buys near a lamp](images/benchmarks.png)
 """
