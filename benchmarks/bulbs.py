@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 from mi_ellipse.study.metrics import trimmed_mean
 
-from .harness import PAIRS, compare_times, rendering
+from .harness import PAIRS, compare_times, rendering, squared_deviations
 from .pictures import draw
 from .scenes import LIGHT_SAMPLES, SCENES, SOLIDS, scene_file
 
@@ -71,8 +71,7 @@ def _error(
         np.array(mi.render(scene, integrator=integrator, spp=SPP, seed=seed), dtype=float)
         for seed in range(SEEDS)
     ]
-    mean = np.mean(pictures, axis=0)
-    squares = [(picture - mean) ** 2 * (SEEDS / (SEEDS - 1)) for picture in pictures]
+    squares, mean = squared_deviations(pictures)
     trimmed = np.array([trimmed_mean(of_seed) for of_seed in squares])
     return {
         "plain": float(np.mean(squares)),

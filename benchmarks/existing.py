@@ -9,14 +9,14 @@ from pathlib import Path
 import mi_ellipse
 import mitsuba as mi
 import numpy as np
+from mi_ellipse.rendering.rewrite import BUILT_IN
 from mi_ellipse.rendering.scene import load_scene
 from mi_ellipse.study.metrics import trimmed_mean
 
-from .harness import PAIRS, Ratio, compare_times, rendering
+from .harness import PAIRS, Ratio, compare_times, rendering, squared_deviations
 from .pictures import draw
 from .scenes import SCENES
 
-BUILT_IN = "built-in"
 GROUPED = ", grouped"
 SHOWN = f"solid_angle{GROUPED}"
 KINDS = (BUILT_IN, "solid_angle", SHOWN, f"projected_solid_angle{GROUPED}")
@@ -101,8 +101,8 @@ def _errors(known: Known) -> tuple[dict[str, dict], np.ndarray]:
             for seed in range(SEEDS)
         ]
         del scene  # Its lamps would be compiled into all that follows
-        mean = np.mean(pictures, axis=0)
-        of_seeds = _of_seeds(known, pictures, mean)
+        squares, mean = squared_deviations(pictures)
+        of_seeds = _of_seeds(known, squares)
         first = first or of_seeds
         measured[kind] = {
             name: {"error": float(values.mean()), "ratio": vars(Ratio.of(first[name] / values))}
@@ -111,15 +111,9 @@ def _errors(known: Known) -> tuple[dict[str, dict], np.ndarray]:
     return measured, mean
 
 
-def _of_seeds(known: Known, pictures: list[np.ndarray], mean: np.ndarray) -> dict[str, np.ndarray]:
-    """
-    Mean squared deviations of each picture from the mean of all.
-
-    All kinds of lamps have the same mean, so this is their error. The factor makes it that of a
-    picture from the truth.
-    """
-    height, width = mean.shape[:2]
-    squares = [(picture - mean) ** 2 * (SEEDS / (SEEDS - 1)) for picture in pictures]
+def _of_seeds(known: Known, squares: list[np.ndarray]) -> dict[str, np.ndarray]:
+    """Means of the squared deviations of each picture, over the whole picture and its regions."""
+    height, width = squares[0].shape[:2]
     of_seeds = {
         "trimmed": np.array([trimmed_mean(each) for each in squares]),
         "plain": np.array([each.mean() for each in squares]),

@@ -17,7 +17,6 @@ import mitsuba as mi
 import numpy as np
 from mi_ellipse.sampling import STRATEGIES as REGISTERED
 from mi_ellipse.study.metrics import trimmed_mean
-from scipy.stats import t as student
 
 from .harness import (
     Ratio,
@@ -26,6 +25,7 @@ from .harness import (
     compare_times,
     in_new_process,
     peak_memory,
+    ratio_of_means,
     rendering,
 )
 from .lamps import many_lamps
@@ -295,10 +295,9 @@ def measure_times(scene: Load, pairs: int) -> dict[str, np.ndarray]:
 
 def _gain(worse: dict, better: dict) -> Ratio:
     """Quotient of two errors, with the 95 % interval of the scatter among the seeds."""
-    value = worse["trimmed"] / better["trimmed"]
-    relative = np.hypot(*(one["standard_error"] / one["trimmed"] for one in (worse, better)))
-    reach = float(np.exp(student.ppf(0.975, SEEDS - 1) * relative))
-    return Ratio(value, value / reach, value * reach)
+    return ratio_of_means(
+        *((one["trimmed"], one["standard_error"]) for one in (worse, better)), SEEDS
+    )
 
 
 def _entry(measured: dict[str, dict], seconds: dict[str, np.ndarray]) -> dict:

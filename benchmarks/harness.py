@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection
@@ -21,6 +21,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from scipy.stats import binom
+from scipy.stats import t as student
 
 Work = Callable[[int], float]  # Of a seed; returns the time that counts
 Make = Callable[[], Work]  # One that can be pickled
@@ -48,6 +49,26 @@ class Ratio:
 
     def __str__(self) -> str:
         return f"{self.median:.3f} [{self.low:.3f}, {self.high:.3f}]"
+
+
+def ratio_of_means(over: tuple[float, float], under: tuple[float, float], count: int) -> Ratio:
+    """Ratio of two independent means, each with its standard error from `count` values.
+
+    The 95 % interval is symmetric in the logarithm.
+    """
+    relative = np.hypot(*(error / mean for mean, error in (over, under)))
+    reach = float(np.exp(student.ppf(0.975, count - 1) * relative))
+    value = over[0] / under[0]
+    return Ratio(value, value / reach, value * reach)
+
+
+def squared_deviations(pictures: Sequence[np.ndarray]) -> tuple[list[np.ndarray], np.ndarray]:
+    """Squared deviations of pictures of several seeds from their mean, and that mean.
+
+    The factor makes them those from the truth. Lamps whose mean is the same need no reference.
+    """
+    count, mean = len(pictures), np.mean(pictures, axis=0)
+    return [(picture - mean) ** 2 * (count / (count - 1)) for picture in pictures], mean
 
 
 class Worker:

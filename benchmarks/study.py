@@ -19,14 +19,16 @@ import numpy as np
 import PIL.Image
 from matplotlib.figure import Figure
 from mi_ellipse.files.images import read_exr
+from mi_ellipse.rendering.rewrite import BUILT_IN
 from mi_ellipse.rendering.scene import load_scene
 from mi_ellipse.study.drawing import choose_insets, picture_grid
+from mi_ellipse.study.kinds import UNGROUPED, split
 from mi_ellipse.study.metrics import trimmed_mean
 from mi_ellipse.study.results import EQUAL_SAMPLES, Comparison, Measurement
 from mi_ellipse.study.run import compare
 from mi_ellipse.study.statistics import efficiency
-from scipy.stats import t as student
 
+from .harness import ratio_of_means, squared_deviations
 from .scenes import LIGHT_SAMPLES, SCENES
 
 ROOT = SCENES.parent
@@ -35,8 +37,6 @@ IMAGES = ROOT / "docs" / "images"
 SEEDS = 4
 DPI = 180
 
-BUILT_IN = "built-in"
-UNGROUPED = "+ungrouped"
 ORIGINAL = ("area", "rejection", "concentric", "tangent_disk")  # of the study by Guillén et al.
 OURS = ("solid_angle", "projected_solid_angle")
 ALL = (*ORIGINAL, *OURS)
@@ -226,21 +226,19 @@ def error(
 ) -> list[float]:
     """Trimmed squared deviations of each seed from the mean of all: no reference is needed."""
     gc.collect()
-    strategy, is_ungrouped, _ = name.partition(UNGROUPED)
+    strategy, grouping = split(name)
     size = {"resx": "256", "resy": "256"}
     scene = load_scene(SCENES / "bunny.xml", size | parameters, strategy)
     if not both:
         turn_off_right_lamp(scene)
-    elif not is_ungrouped and strategy != BUILT_IN:
+    elif grouping and strategy != BUILT_IN:
         mi_ellipse.group_lamps(scene)
     how = integrator and mi.load_dict(integrator)
     pictures = [
         mi.render(scene, integrator=how, spp=PARTS_SPP, seed=seed).numpy().astype(float)
         for seed in range(PARTS_SEEDS)
     ]
-    mean = np.mean(pictures, axis=0)
-    rest = PARTS_SEEDS / (PARTS_SEEDS - 1)
-    return [float(trimmed_mean((picture - mean) ** 2 * rest)) for picture in pictures]
+    return [float(trimmed_mean(squares)) for squares in squared_deviations(pictures)[0]]
 
 
 def turn_off_right_lamp(scene: mi.Scene) -> None:
@@ -253,10 +251,11 @@ def turn_off_right_lamp(scene: mi.Scene) -> None:
 
 def ratio_of_independent(first: Sequence[float], others: Sequence[float]) -> dict[str, float]:
     """Quotient of two means with its 95 % interval, symmetric in the logarithm."""
-    spread = [np.std(one, ddof=1) / np.mean(one) / np.sqrt(len(one)) for one in (first, others)]
-    reach = float(np.exp(student.ppf(0.975, len(first) - 1) * np.hypot(*spread)))
-    value = float(np.mean(first) / np.mean(others))
-    return {"value": value, "low": value / reach, "high": value * reach}
+    count = len(first)
+    ratio = ratio_of_means(
+        *((np.mean(one), np.std(one, ddof=1) / np.sqrt(count)) for one in (first, others)), count
+    )
+    return {"value": float(ratio.median), "low": float(ratio.low), "high": float(ratio.high)}
 
 
 def run() -> dict:

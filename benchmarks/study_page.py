@@ -129,12 +129,6 @@ def hidden() -> str:
 # ---- Claims ----
 
 
-def gains(case: str, strategy: str) -> list[float]:
-    """How many times lower the errors of a strategy are than built-in's, at each count."""
-    own = data("study")[case]["strategies"][strategy]
-    return [entry["lower"]["value"] for entry in own.values()]
-
-
 def target() -> str:
     """Whether 256 samples of built-in are reached in half of its time."""
     own = data("study")["bunny"]["strategies"]
